@@ -1,0 +1,68 @@
+"""Samples of bodies to train and test on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from locorl.interfaces import Array, BodyBatch, BodyFactory
+
+
+def sample_designs(factory: BodyFactory, count: int, rng: np.random.Generator) -> Array:
+    """Draw `count` feasible designs uniformly from the factory's design space, (count, d).
+
+    Raises:
+        ValueError: the design space holds hardly any feasible body.
+    """
+    space = factory.space
+    chosen: list[Array] = []
+    found = 0
+    for _ in range(20):
+        designs = rng.uniform(space.low, space.high, size=(count, len(space.names)))
+        designs = designs[factory.batch(designs).feasible]
+        chosen.append(designs)
+        found += len(designs)
+        if found >= count:
+            return np.concatenate(chosen)[:count]
+    raise ValueError(
+        f"only {found} of {20 * count} random designs of '{factory.name}' have a stance: widen the bounds or "
+        "correct the robot's description"
+    )
+
+
+def repeat_design(factory: BodyFactory, design: Array, count: int) -> Array:
+    """`count` copies of one design, (count, d).
+
+    Raises:
+        ValueError: the design lies outside the design space or the body has no stance.
+    """
+    space = factory.space
+    design = np.asarray(design, dtype=np.float64)
+    if design.shape != (len(space.names),):
+        raise ValueError(
+            f"a design of '{factory.name}' has {len(space.names)} parameters {space.names}, got {design}"
+        )
+    outside = [
+        f"{name}={value:g} not in [{low:g}, {high:g}]"
+        for name, value, low, high in zip(space.names, design, space.low, space.high, strict=True)
+        if not low - 1e-9 <= value <= high + 1e-9
+    ]
+    if outside:
+        raise ValueError(f"design of '{factory.name}' out of bounds: {', '.join(outside)}")
+    if not feasible(factory, design[None])[0]:
+        raise ValueError(
+            f"the body {dict(zip(space.names, design, strict=True))} of '{factory.name}' has no stance"
+        )
+    return np.tile(design, (count, 1))
+
+
+def feasible(factory: BodyFactory, designs: Array) -> np.ndarray:
+    """Which designs (n, d) have a stance, (n,) bool."""
+    batch: BodyBatch = factory.batch(np.asarray(designs, dtype=np.float64))
+    return np.asarray(batch.feasible)
+
+
+def design_grid(factory: BodyFactory, levels: int = 3) -> Array:
+    """The regular grid of `levels` values per parameter, (levels^d, d); 81 bodies for the paper's space."""
+    space = factory.space
+    axes = [np.linspace(low, high, levels) for low, high in zip(space.low, space.high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(space.names))

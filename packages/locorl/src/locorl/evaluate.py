@@ -1,0 +1,158 @@
+"""Honest evaluation: return never without tracking error, distance, survival and energy beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from locorl.env import LeggedEnv
+from locorl.interfaces import Array, BodyFactory
+from locorl.task import CommandConfig, TaskConfig, no_randomisation
+
+
+class Actor(Protocol):
+    """Anything that acts on observations; one with a memory forgets it at `reset`."""
+
+    def reset(self, done: Tensor | None = None) -> None:
+        """Forget; everything, or only robots where `done` (N,)."""
+        ...
+
+    def act(self, obs: Mapping[str, Tensor]) -> Tensor:
+        """Action for each robot, (N, 12)."""
+        ...
+
+
+@dataclass(frozen=True)
+class EvalConfig:
+    """The walking protocol: mean action, no noise, no pushes, forward commands."""
+
+    seconds: float = 20.0
+    """Length of an episode."""
+    vx: tuple[float, float] = (0.3, 0.8)
+    """Commanded forward speed, m/s, drawn uniformly per robot; lateral and yaw commands are 0."""
+    settle: float = 2.0
+    """Tracking error and energy count from here on, s."""
+    robots_per_body: int = 1
+    reset_joint: float = 0.0
+    """Half-width of joint deviations at the start, rad: makes repeated robots differ."""
+    seed: int = 0
+    """Same seed, same commands and starts, whatever the bodies: common random numbers."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results for B bodies and R robots on each; arrays are (B, R) unless said otherwise.
+
+    Attributes:
+        designs: (B, d).
+        config: the protocol.
+        command: commanded speed, m/s.
+        survived: no fall and no failed simulation until the end, bool.
+        returns: undiscounted sum of rewards until the end or the fall (eq. 9).
+        tracking_error: mean |v_x - command| after `settle`, m/s; a fallen robot counts its whole command.
+        distance: way along the commanded direction in the base frame, m.
+        energy: positive joint work, J, accumulated at every physics step (eq. 10 times the time step).
+        cost_of_transport: positive joint work / (m g way), both after `settle`; infinite without a way.
+        mean_power: positive mechanical power after `settle`, W, while upright.
+    """
+
+    designs: Array
+    config: EvalConfig
+    command: Array
+    survived: NDArray[np.bool_]
+    returns: Array
+    tracking_error: Array
+    distance: Array
+    energy: Array
+    cost_of_transport: Array
+    mean_power: Array
+
+    def summary(self) -> dict[str, float]:
+        """Means over all robots; cost of transport over those that survived."""
+        moving = self.survived & np.isfinite(self.cost_of_transport)
+        return {
+            "robots": float(self.survived.size),
+            "survived": float(self.survived.sum()),
+            "return": float(self.returns.mean()),
+            "tracking_error": float(self.tracking_error.mean()),
+            "tracking_error_worst_decile": float(np.quantile(self.tracking_error, 0.9)),
+            "tracking_error_worst": float(self.tracking_error.max()),
+            "distance": float(self.distance.mean()),
+            "commanded_distance": float((self.command * self.config.seconds).mean()),
+            "energy": float(self.energy.mean()),
+            "cost_of_transport": float(self.cost_of_transport[moving].mean())
+            if moving.any()
+            else float("inf"),
+        }
+
+
+@torch.no_grad()
+def evaluate(
+    actor: Actor,
+    factory: BodyFactory,
+    designs: Array,
+    task: TaskConfig,
+    config: EvalConfig | None = None,
+    threads: int | None = None,
+) -> Evaluation:
+    """Run `actor` on bodies `designs` (B, d), `config.robots_per_body` robots on each, for one episode.
+
+    The reward is the task's own, without randomisation, pushes, exploration or curriculum.
+    """
+    config = config or EvalConfig()
+    designs = np.asarray(designs, dtype=np.float64)
+    bodies, robots = len(designs), config.robots_per_body
+    task = replace(
+        task,
+        episode_seconds=2 * config.seconds,  # the episode never ends by time within the evaluation
+        command=CommandConfig(config.vx, (0.0, 0.0), (0.0, 0.0), hold=2 * config.seconds, standing=0.0),
+        randomisation=replace(no_randomisation(), reset_joint=config.reset_joint),
+    )
+    env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
+    steps = round(config.seconds / env.dt)
+    settle = round(config.settle / env.dt)
+    obs = env.reset(seed=config.seed)
+    actor.reset()
+    command = env.command[:, 0].clone()
+
+    alive = torch.ones(env.num_envs, dtype=torch.bool)
+    returns, error, way, work = (torch.zeros(env.num_envs, dtype=torch.float64) for _ in range(4))
+    settled_way, settled_work, settled_steps = (torch.zeros_like(returns) for _ in range(3))
+    for step in range(steps):
+        obs, reward, terminated, _, info = env.step(actor.act(obs))
+        actor.reset(terminated)
+        returns += reward * alive
+        alive = alive & ~terminated
+        moved = info.velocity[:, 0].double() * env.dt * alive
+        spent = info.positive_work.double() * alive
+        way += moved
+        work += spent
+        if step >= settle:
+            error += torch.where(alive, info.tracking_error, command.abs())
+            settled_way += moved
+            settled_work += spent
+            settled_steps += alive
+
+    def shape(values: Tensor) -> Array:
+        return values.double().numpy().reshape(bodies, robots)
+
+    weight = env.weight.double()
+    transport = torch.where(settled_way > 0.05, settled_work / (weight * settled_way), torch.inf)
+    return Evaluation(
+        designs=designs,
+        config=config,
+        command=shape(command),
+        survived=alive.numpy().reshape(bodies, robots),
+        returns=shape(returns),
+        tracking_error=shape(error / (steps - settle)),
+        distance=shape(way),
+        energy=shape(work),
+        cost_of_transport=shape(transport),
+        mean_power=shape(settled_work / (settled_steps * env.dt).clamp(min=env.dt)),
+    )

@@ -1,0 +1,34 @@
+"""Rotations of a batch of bases; quaternions are (w, x, y, z)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def to_base_frame(quat: Tensor, vector: Tensor) -> Tensor:
+    """Express world vectors in the frames that `quat` describes.
+
+    Args:
+        quat: unit quaternions base -> world, (N, 4).
+        vector: world vectors, (N, 3).
+
+    Returns:
+        R(quat)^T vector, (N, 3).
+    """
+    w, u = quat[:, :1], quat[:, 1:]
+    cross = torch.linalg.cross(vector, u)
+    # R^T v = v - 2w (u x v) + 2 u x (u x v), written with v x u
+    return vector + 2.0 * (w * cross + torch.linalg.cross(u, -cross))
+
+
+def projected_gravity(quat: Tensor) -> Tensor:
+    """The unit vector pointing down, seen from the base: R(quat)^T (0, 0, -1), (N, 3)."""
+    w, x, y, z = quat.unbind(dim=1)
+    return torch.stack((2.0 * (w * y - x * z), -2.0 * (w * x + y * z), 2.0 * (x * x + y * y) - 1.0), dim=1)
+
+
+def yaw_quat(yaw: Tensor) -> Tensor:
+    """Quaternions of rotations by `yaw` (N,) about the vertical, (N, 4)."""
+    zero = torch.zeros_like(yaw)
+    return torch.stack((torch.cos(yaw / 2), zero, zero, torch.sin(yaw / 2)), dim=1)

@@ -1,0 +1,124 @@
+"""Trained policies: loading, acting, and the refusal of bodies that they were not trained for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from locorl import checkpoint
+from locorl.config import from_dict, to_dict
+from locorl.interfaces import DesignSpace
+from locorl.networks import ActorCritic, NetworkConfig
+from locorl.task import TaskConfig
+
+
+@dataclass(frozen=True)
+class PolicyCard:
+    """What a policy was trained for.
+
+    Attributes:
+        robot: name of the robot.
+        design_names: design parameters that it observes, in order.
+        design_low: their lower bounds in training.
+        design_high: their upper bounds.
+        dims: columns of the observation groups.
+        task: the task.
+        network: sizes.
+        samples: environment steps that it was trained on.
+        seed: seed of the training.
+    """
+
+    robot: str
+    design_names: tuple[str, ...]
+    design_low: tuple[float, ...]
+    design_high: tuple[float, ...]
+    dims: Mapping[str, int]
+    task: TaskConfig
+    network: NetworkConfig
+    samples: int
+    seed: int
+
+
+class Policy:
+    """A deterministic policy: acts with the mean action.
+
+    Satisfies what distillation asks of a teacher: `act`, `latent`, `actor`, `latent_dim`.
+
+    Args:
+        model: the networks.
+        card: what they were trained for.
+    """
+
+    def __init__(self, model: ActorCritic, card: PolicyCard) -> None:
+        self.model = model.eval()
+        self.card = card
+
+    @property
+    def actor(self) -> nn.Module:
+        """Maps [proprio, explicit, latent] to the mean action."""
+        return self.model.actor
+
+    @property
+    def latent_dim(self) -> int:
+        """Size of the privileged latent."""
+        return self.model.latent_dim
+
+    def reset(self, done: Tensor | None = None) -> None:
+        """Nothing to forget: the policy has no memory."""
+
+    @torch.no_grad()
+    def act(self, obs: Mapping[str, Tensor]) -> Tensor:
+        """Mean action, (N, 12)."""
+        return self.model.act(obs)
+
+    @torch.no_grad()
+    def latent(self, obs: Mapping[str, Tensor]) -> Tensor:
+        """Privileged latent, (N, latent_dim)."""
+        return self.model.latent(obs)
+
+    def check_space(self, robot: str, space: DesignSpace) -> None:
+        """Refuse a robot or a design space that the policy was not trained on.
+
+        Raises:
+            ValueError: naming both.
+        """
+        if (robot, tuple(space.names)) != (self.card.robot, self.card.design_names):
+            raise ValueError(
+                f"this policy was trained on '{self.card.robot}' with design parameters {self.card.design_names}; "
+                f"it cannot control '{robot}' with {tuple(space.names)}: train one for it"
+            )
+
+    def content(self) -> dict[str, Any]:
+        """The policy as checkpoint content."""
+        return {"kind": "policy", "card": to_dict(self.card), "model": self.model.state_dict()}
+
+    def save(self, path: Path) -> None:
+        """Write the policy alone, without what resuming its training would need."""
+        checkpoint.save(path, self.content())
+
+
+def load_policy(path: Path) -> Policy:
+    """Read a policy or a training checkpoint.
+
+    Raises:
+        checkpoint.CheckpointError: unreadable, or not a policy of locorl.
+    """
+    return policy_from(checkpoint.load(path), path)
+
+
+def policy_from(content: Mapping[str, Any], path: Path) -> Policy:
+    """The policy within checkpoint content read from `path`."""
+    try:
+        card = from_dict(PolicyCard, content["card"])
+        model = ActorCritic(card.dims, 12, card.network)
+        model.load_state_dict(content["model"])
+    except (KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise checkpoint.CheckpointError(
+            f"{path} holds no policy that this version can read: {error}"
+        ) from error
+    return Policy(model, card)

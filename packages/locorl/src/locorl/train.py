@@ -1,0 +1,198 @@
+"""Training runs: spatial domain randomisation, metrics, checkpoints, resume."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from locorl import checkpoint
+from locorl.bodies import sample_designs
+from locorl.config import differences, to_dict
+from locorl.env import LeggedEnv
+from locorl.interfaces import Array, BodyFactory
+from locorl.metrics import MetricsFile, TrainingProgress
+from locorl.networks import ActorCritic, NetworkConfig
+from locorl.policy import Policy, PolicyCard
+from locorl.ppo import PPO, PPOConfig
+from locorl.task import TaskConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """A training run."""
+
+    num_envs: int = 1024
+    """Robots trained at once; each has a body of its own in pre-training."""
+    iterations: int = 500
+    """Rollouts and updates."""
+    seed: int = 0
+    save_every: int = 20
+    """Iterations between checkpoints."""
+    task: TaskConfig = field(default_factory=TaskConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+
+    @property
+    def samples_per_iteration(self) -> int:
+        """Environment steps in one iteration."""
+        return self.num_envs * self.ppo.steps
+
+
+class Trainer:
+    """Trains one policy on N bodies and can be killed and resumed at any moment.
+
+    Files in `folder`: `checkpoint.pt` (everything, for resuming), `policy.pt` (the networks alone),
+    `metrics.jsonl`. Without a folder nothing is written.
+
+    Args:
+        factory: makes the bodies.
+        config: the run.
+        folder: where to write; a checkpoint found there is resumed.
+        designs: bodies, (N, d); by default drawn uniformly from the design space (section III-B1).
+        start: policy to start from, as in fine-tuning; the optimiser starts fresh.
+        threads: simulation threads.
+
+    Raises:
+        checkpoint.CheckpointError: the folder holds a checkpoint of another configuration, or a broken one.
+    """
+
+    def __init__(
+        self,
+        factory: BodyFactory,
+        config: TrainConfig,
+        folder: Path | None = None,
+        designs: Array | None = None,
+        start: Policy | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.config, self.folder = config, folder
+        self.iteration = 0
+        streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(config.seed).spawn(4)]
+        resumed = self._read_checkpoint()
+        if designs is None:
+            rng = np.random.default_rng(streams[0])
+            designs = sample_designs(factory, config.num_envs, rng)
+        if len(designs) != config.num_envs:
+            raise ValueError(f"{len(designs)} designs for {config.num_envs} robots")
+        self.env = LeggedEnv(factory, designs, config.task, seed=streams[1], threads=threads)
+        if start is not None:
+            start.check_space(factory.name, factory.space)
+        torch.manual_seed(streams[2])
+        network = start.card.network if start else config.network
+        self.model = ActorCritic(self.env.group_dims, self.env.num_actions, network)
+        if start is not None:
+            self.model.load_state_dict(start.model.state_dict())
+        self.ppo = PPO(self.model, config.ppo, config.num_envs, self.env.group_dims, seed=streams[3])
+        space = factory.space
+        self._card = PolicyCard(
+            robot=factory.name,
+            design_names=tuple(space.names),
+            design_low=tuple(float(x) for x in space.low),
+            design_high=tuple(float(x) for x in space.high),
+            dims=dict(self.env.group_dims),
+            task=config.task,
+            network=network,
+            samples=start.card.samples if start else 0,
+            seed=config.seed,
+        )
+        self._obs: dict[str, Tensor] | None = None
+        if resumed is not None:
+            self._restore(resumed)
+
+    @property
+    def samples(self) -> int:
+        """Environment steps taken so far in this run."""
+        return self.iteration * self.config.samples_per_iteration
+
+    def policy(self) -> Policy:
+        """The policy as it is now; it goes on changing if training goes on."""
+        return Policy(self.model, replace(self._card, samples=self._card.samples + self.samples))
+
+    def run(self, title: str = "train", quiet: bool = False) -> list[dict[str, float]]:
+        """Train until `config.iterations`, from wherever the run stands.
+
+        Returns:
+            The metrics of the iterations run now.
+
+        Raises:
+            ppo.DivergedError: training produced NaN; the last checkpoint stands.
+        """
+        config = self.config
+        rows: list[dict[str, float]] = []
+        log = MetricsFile(self.folder / "metrics.jsonl", self.iteration) if self.folder else None
+        if self._obs is None:
+            self._obs = self.env.reset()
+        with TrainingProgress(title, config.iterations, self.iteration, quiet) as progress:
+            while self.iteration < config.iterations:
+                started = time.perf_counter()
+                self._obs, stats = self.ppo.collect(self.env, self._obs)
+                collected = time.perf_counter()
+                stats |= self.ppo.update()
+                finished = time.perf_counter()
+                self.iteration += 1
+                rate = config.samples_per_iteration / (finished - started)
+                row = {
+                    "iteration": self.iteration,
+                    "samples": self.samples,
+                    "seconds": finished - started,
+                    "collect_seconds": collected - started,
+                    "samples_per_second": rate,
+                    **stats,
+                }
+                rows.append(row)
+                if log:
+                    log.write(row)
+                progress.update(
+                    self.iteration,
+                    f"reward {stats['reward']:.2f}/s  error {stats['tracking_error']:.3f} m/s  {rate / 1000:.1f} k/s",
+                )
+                if self.folder and (
+                    self.iteration % config.save_every == 0 or self.iteration == config.iterations
+                ):
+                    self.save()
+        return rows
+
+    def save(self) -> None:
+        """Write checkpoint and policy now; a run without a folder has nowhere to write."""
+        if self.folder is None:
+            raise ValueError("this run has no folder to save to")
+        content = {
+            **self.policy().content(),
+            "config": to_dict(self.config),
+            "iteration": self.iteration,
+            "ppo": self.ppo.state_dict(),
+            "env": self.env.state_dict(),
+            "designs": torch.from_numpy(np.asarray(self.env.bodies.designs).copy()),
+        }
+        checkpoint.save(self.folder / "checkpoint.pt", content)
+        self.policy().save(self.folder / "policy.pt")
+
+    def _read_checkpoint(self) -> Mapping[str, Any] | None:
+        if self.folder is None or not (self.folder / "checkpoint.pt").exists():
+            return None
+        path = self.folder / "checkpoint.pt"
+        content = checkpoint.load(path)
+        mine = to_dict(self.config)
+        # a longer run of the same configuration is the same run
+        changes = differences({**content["config"], "iterations": 0}, {**mine, "iterations": 0})
+        if changes:
+            raise checkpoint.CheckpointError(
+                f"{path} belongs to another configuration; use another folder. Differences:\n  "
+                + "\n  ".join(changes)
+            )
+        return content
+
+    def _restore(self, content: Mapping[str, Any]) -> None:
+        if not np.array_equal(content["designs"].numpy(), self.env.bodies.designs):
+            raise checkpoint.CheckpointError(f"{self.folder}: the checkpoint was trained on other bodies")
+        self.model.load_state_dict(content["model"])
+        self.ppo.load_state_dict(content["ppo"])
+        self._obs = self.env.load_state_dict(content["env"])
+        self.iteration = int(content["iteration"])
