@@ -1,0 +1,188 @@
+"""What the controller needs from a robot and from a network: numpy arrays and two protocols."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RobotSpec:
+    """What a robot is.
+
+    Attributes:
+        name: For messages and logs.
+        joint_names: In the robot's own order, which all its arrays use; others bind by these names.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """One reading of the sensors.
+
+    Attributes:
+        stamp_ns: Time of the reading on the robot's clock, ns.
+        seq: Number of the reading.
+        q: Joint angles, shape (n,), rad.
+        dq: Joint velocities, shape (n,), rad/s.
+        tau: Torques that act at this instant, shape (n,), N m.
+        quat_wxyz: Orientation of the base in the world, shape (4,).
+        gyro: Angular velocity, base frame, shape (3,), rad/s.
+        acc: Specific force (gravity included), base frame, shape (3,), m/s^2.
+    """
+
+    stamp_ns: int
+    seq: int
+    q: Array
+    dq: Array
+    tau: Array
+    quat_wxyz: Array
+    gyro: Array
+    acc: Array
+
+
+@dataclass(frozen=True)
+class JointCommand:
+    """A servo command per joint: torque = kp (q - q_measured) + kd (dq - dq_measured) + tau.
+
+    Shapes (n,); rad, rad/s, N m/rad, N m s/rad, N m; `stamp_ns` on the robot's clock.
+    """
+
+    q: Array
+    dq: Array
+    kp: Array
+    kd: Array
+    tau: Array
+    stamp_ns: int
+
+
+@dataclass(frozen=True)
+class DepthFrame:
+    """A depth image in metres, shape (height, width), with its time on the robot's clock in ns."""
+
+    stamp_ns: int
+    seq: int
+    image_m: NDArray[np.float32]
+
+
+class Clock(Protocol):
+    """The robot's time: real on hardware, virtual in simulation."""
+
+    def now_ns(self) -> int:
+        """Current time, ns."""
+        ...
+
+    def sleep_until(self, time_ns: int) -> None:
+        """Return at `time_ns`, at once if it has passed. A simulator advances its physics here."""
+        ...
+
+
+class RobotInterface(Protocol):
+    """A robot that takes servo commands; arrays are in the order of ``spec.joint_names``."""
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Names, fixed for the life of the object."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that stamps states and paces the loop."""
+        ...
+
+    def start(self) -> None:
+        """Take control of the robot; nothing moves before the first `write`."""
+        ...
+
+    def stop(self) -> None:
+        """Give control back. Safe to call twice, and after a failed `start`."""
+        ...
+
+    def read(self) -> RobotState:
+        """The latest state, without waiting."""
+        ...
+
+    def read_depth(self) -> DepthFrame | None:
+        """The latest depth image, None where there is no camera."""
+        ...
+
+    def write(self, command: JointCommand) -> None:
+        """Send a command; it holds until the next one."""
+        ...
+
+    def damp(self) -> None:
+        """Go limp against damping. Works in every state and needs no valid reading."""
+        ...
+
+
+@dataclass(frozen=True)
+class PolicyOutput:
+    """`action` (12,) as the network gave it; `velocity` (3,) its estimate, base frame, m/s, or None."""
+
+    action: Array
+    velocity: Array | None
+
+
+class PolicyRuntime(Protocol):
+    """Runs the network and keeps its recurrent state."""
+
+    def reset(self) -> None:
+        """Put the recurrent state to its initial value."""
+        ...
+
+    def step(self, obs: NDArray[np.float32]) -> PolicyOutput:
+        """One tick: observation of shape (P,) in, action out, recurrent state moved on."""
+        ...
+
+
+@dataclass(frozen=True)
+class GroundTruth:
+    """What only a simulator knows; for measuring, never for control.
+
+    Attributes:
+        position: Base origin, world frame, shape (3,), m.
+        quat_wxyz: Orientation of the base in the world, shape (4,).
+        velocity: Of the base origin, world frame, shape (3,), m/s.
+        angular_velocity: Base frame, shape (3,), rad/s.
+        height_over_feet: World z of the base above the lowest foot, m.
+    """
+
+    position: Array
+    quat_wxyz: Array
+    velocity: Array
+    angular_velocity: Array
+    height_over_feet: float
+
+
+@dataclass(frozen=True)
+class EnergyReading:
+    """Mechanical energy summed at the rate of the state, not of the loop.
+
+    Attributes:
+        energy_pos_j: Positive work since the start (paper eq. 10 times the step), J.
+        peak_pos_w: Largest positive power since the previous reading, W.
+    """
+
+    energy_pos_j: float
+    peak_pos_w: float
+
+
+@runtime_checkable
+class Simulated(Protocol):
+    """A robot that can also be measured from outside."""
+
+    def truth(self) -> GroundTruth:
+        """Pose and velocity of the base, exact."""
+        ...
+
+    def energy(self) -> EnergyReading:
+        """Energy counted at every physics step; reading it restarts the peak."""
+        ...

@@ -1,0 +1,252 @@
+"""The bundle's own scene in MuJoCo as a robot: PD at every physics step, virtual clock, deterministic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from deploy.bundle import Bundle
+from deploy.errors import RobotError
+from deploy.interfaces import (
+    Array,
+    DepthFrame,
+    EnergyReading,
+    GroundTruth,
+    JointCommand,
+    RobotSpec,
+    RobotState,
+)
+from deploy.observation import rotate_inverse
+
+SAME_BODY = 1e-3
+"""Relative difference of mass or torque limit below which model and manifest mean the same body; MJCF keeps
+about six digits."""
+
+
+@dataclass(frozen=True)
+class _Addresses:
+    """Where the joints of the robot live in the model, in the order of its actuators."""
+
+    names: tuple[str, ...]
+    actuator: Array
+    qpos: Array
+    dof: Array
+
+
+class MujocoRobot:
+    """A simulated robot that satisfies `RobotInterface` and `Simulated`.
+
+    Time passes only in `sleep_until`. The servo law of a `JointCommand` is written into gain and bias of the
+    model's position actuators, so that MuJoCo evaluates it, clamped to the torque limit, at every physics step.
+    The readings are ideal: those of an IMU at the base origin and of exact encoders.
+    """
+
+    def __init__(
+        self, bundle: Bundle, seed: int = 0, joint_noise: float = 0.02, damping: float = 3.0
+    ) -> None:
+        """Load the scene and put the robot into its stance.
+
+        Args:
+            bundle: A verified bundle; its scene file is loaded.
+            seed: Seed of the initial joint noise.
+            joint_noise: Half-width of the uniform initial noise on each joint, rad; 0 starts in the exact stance.
+            damping: Gain of `damp`, N m s/rad.
+
+        Raises:
+            RobotError: The scene does not compile or does not hold the robot that the manifest describes.
+        """
+        self._path = bundle.path(bundle.robot.scene)
+        try:
+            self._model = mujoco.MjModel.from_xml_path(str(self._path))
+        except ValueError as error:
+            raise RobotError(f"{self._path}: MuJoCo cannot compile it ({error}); export it again") from error
+        self._data = mujoco.MjData(self._model)
+        self._joints = self._find_joints(bundle)
+        self._base = self._find("body", mujoco.mjtObj.mjOBJ_BODY, bundle.robot.base)
+        self._feet = [self._find("site", mujoco.mjtObj.mjOBJ_SITE, foot) for foot in bundle.robot.feet]
+        self._check_body(bundle)
+        self._root_qpos, self._root_dof = self._find_root(bundle.robot.base)
+        self._damping = damping
+        self._spec = RobotSpec(f"{bundle.robot.name} in MuJoCo", self._joints.names)
+        self._step_ns = self._model.opt.timestep * 1e9
+        self._steps = 0
+        self._reads = 0
+        self._energy_pos = 0.0
+        self._peak_pos = 0.0
+        self._start_in_stance(bundle, np.random.default_rng(seed), joint_noise)
+
+    def _find(self, kind: str, object_type: int, name: str) -> int:
+        index = mujoco.mj_name2id(self._model, object_type, name)
+        if index < 0:
+            raise RobotError(f"{self._path}: no {kind} {name!r} in it; export the bundle again")
+        return index
+
+    def _find_joints(self, bundle: Bundle) -> _Addresses:
+        model = self._model
+        wanted = {
+            self._find("actuator", mujoco.mjtObj.mjOBJ_ACTUATOR, joint.actuator): joint.name
+            for joint in bundle.joints
+        }
+        if model.nu != len(wanted):
+            raise RobotError(
+                f"{self._path}: {model.nu} actuators, the manifest has {len(wanted)}; export it again"
+            )
+        qpos, dof = [], []
+        for actuator, name in sorted(wanted.items()):
+            joint = self._find("joint", mujoco.mjtObj.mjOBJ_JOINT, name)
+            servo = (
+                model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+                and model.actuator_trnid[actuator, 0] == joint
+                and model.actuator_gear[actuator, 0] == 1.0
+                and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
+                and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+                and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+            )
+            if not servo:
+                raise RobotError(
+                    f"{self._path}: actuator of {name} is not a position servo on that joint; "
+                    "use <position joint=... kp=... kv=...> with gear 1"
+                )
+            qpos.append(model.jnt_qposadr[joint])
+            dof.append(model.jnt_dofadr[joint])
+        return _Addresses(
+            names=tuple(wanted[actuator] for actuator in sorted(wanted)),
+            actuator=np.array(sorted(wanted)),
+            qpos=np.array(qpos),
+            dof=np.array(dof),
+        )
+
+    def _find_root(self, base: str) -> tuple[int, int]:
+        joint = self._model.body_jntadr[self._base]
+        if joint < 0 or self._model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+            raise RobotError(f"{self._path}: body {base!r} has no free joint; export the bundle again")
+        return int(self._model.jnt_qposadr[joint]), int(self._model.jnt_dofadr[joint])
+
+    def _check_body(self, bundle: Bundle) -> None:
+        model = self._model
+        limits = {joint.name: joint.torque_limit for joint in bundle.joints}
+        pairs = {"total mass": (model.body_subtreemass[self._base], bundle.robot.total_mass)}
+        for actuator, name in zip(self._joints.actuator, self._joints.names, strict=True):
+            joint = model.actuator_trnid[actuator, 0]
+            found = [np.inf]
+            if model.actuator_forcelimited[actuator]:
+                found.append(model.actuator_forcerange[actuator, 1])
+            if model.jnt_actfrclimited[joint]:
+                found.append(model.jnt_actfrcrange[joint, 1])
+            pairs[f"torque limit of {name}"] = (min(found), limits[name])
+        pairs["physics step"] = (model.opt.timestep, bundle.physics_dt)
+        for what, (in_model, in_manifest) in pairs.items():
+            if not np.isclose(in_model, in_manifest, rtol=SAME_BODY, atol=0.0):
+                raise RobotError(
+                    f"{self._path}: {what} is {in_model:g}, the manifest says {in_manifest:g}; "
+                    "the scene holds another body: export the bundle again"
+                )
+
+    def _start_in_stance(self, bundle: Bundle, rng: np.random.Generator, noise: float) -> None:
+        stance = {joint.name: joint for joint in bundle.joints}
+        root = self._root_qpos
+        qpos = self._data.qpos
+        qpos[root + 2] = bundle.start_height
+        qpos[root + 3 : root + 7] = bundle.start_quat_wxyz
+        angles = np.array([stance[name].stance for name in self._joints.names])
+        qpos[self._joints.qpos] = angles + rng.uniform(-noise, noise, angles.shape)
+        zeros = np.zeros(len(angles))
+        self.write(
+            JointCommand(
+                q=np.array([stance[name].target_offset for name in self._joints.names]),
+                dq=zeros,
+                kp=np.array([stance[name].kp for name in self._joints.names]),
+                kd=np.array([stance[name].kd for name in self._joints.names]),
+                tau=zeros,
+                stamp_ns=0,
+            )
+        )
+        mujoco.mj_forward(self._model, self._data)
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Joint names in the order of the actuators of the scene."""
+        return self._spec
+
+    @property
+    def clock(self) -> MujocoRobot:
+        """The robot is its own virtual clock."""
+        return self
+
+    def now_ns(self) -> int:
+        """Simulated time since construction, ns."""
+        return round(self._steps * self._step_ns)
+
+    def sleep_until(self, time_ns: int) -> None:
+        """Simulate to the physics step nearest to `time_ns`."""
+        steps = round(time_ns / self._step_ns) - self._steps
+        for _ in range(steps):
+            velocity = self._data.qvel[self._joints.dof].copy()
+            mujoco.mj_step(self._model, self._data)
+            # mj_step leaves the forces that acted at its start, so they pair with the velocity from before it.
+            power = float(np.maximum(self._data.qfrc_actuator[self._joints.dof] * velocity, 0.0).sum())
+            self._energy_pos += power * self._model.opt.timestep
+            self._peak_pos = max(self._peak_pos, power)
+            self._steps += 1
+        if steps > 0:
+            mujoco.mj_forward(self._model, self._data)  # forces and accelerations of this very instant
+
+    def start(self) -> None:
+        """Nothing to take over: the servos hold the stance already."""
+
+    def stop(self) -> None:
+        """Nothing to give back."""
+
+    def read(self) -> RobotState:
+        """Exact state at this instant, joints in the order of `spec`."""
+        data, root, dof = self._data, self._root_qpos, self._root_dof
+        quat = data.qpos[root + 3 : root + 7].copy()
+        self._reads += 1
+        return RobotState(
+            stamp_ns=self.now_ns(),
+            seq=self._reads,
+            q=data.qpos[self._joints.qpos],
+            dq=data.qvel[self._joints.dof],
+            tau=data.qfrc_actuator[self._joints.dof],
+            quat_wxyz=quat,
+            gyro=data.qvel[dof + 3 : dof + 6].copy(),
+            acc=rotate_inverse(quat, data.qacc[dof : dof + 3] - self._model.opt.gravity),
+        )
+
+    def read_depth(self) -> DepthFrame | None:
+        """None: this robot carries no camera."""
+        return None
+
+    def write(self, command: JointCommand) -> None:
+        """Set the servo law; it acts at every physics step until the next command."""
+        model, index = self._model, self._joints.actuator
+        model.actuator_gainprm[index, 0] = command.kp
+        model.actuator_biasprm[index, 0] = command.kd * command.dq + command.tau
+        model.actuator_biasprm[index, 1] = -command.kp
+        model.actuator_biasprm[index, 2] = -command.kd
+        self._data.ctrl[index] = command.q
+
+    def damp(self) -> None:
+        """No stiffness, `damping` on every joint."""
+        zeros = np.zeros(len(self._joints.names))
+        self.write(JointCommand(zeros, zeros, zeros, zeros + self._damping, zeros, self.now_ns()))
+
+    def truth(self) -> GroundTruth:
+        """Exact pose and velocity of the base."""
+        data, root, dof = self._data, self._root_qpos, self._root_dof
+        position = data.qpos[root : root + 3].copy()
+        return GroundTruth(
+            position=position,
+            quat_wxyz=data.qpos[root + 3 : root + 7].copy(),
+            velocity=data.qvel[dof : dof + 3].copy(),
+            angular_velocity=data.qvel[dof + 3 : dof + 6].copy(),
+            height_over_feet=float(position[2] - data.site_xpos[self._feet, 2].min()),
+        )
+
+    def energy(self) -> EnergyReading:
+        """Positive joint work since construction, and the peak power since the previous call."""
+        reading = EnergyReading(self._energy_pos, self._peak_pos)
+        self._peak_pos = 0.0
+        return reading

@@ -1,0 +1,52 @@
+"""The observation vector, from a robot state and a command, by the terms of the manifest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deploy.bundle import Bundle
+from deploy.interfaces import Array, RobotState
+
+
+def rotate_inverse(quat_wxyz: Array, vector: Array) -> Array:
+    """Turn a world vector into the frame whose orientation is `quat_wxyz` (unit), shape (3,)."""
+    w, xyz = quat_wxyz[0], quat_wxyz[1:]
+    across = 2.0 * np.cross(xyz, vector)
+    return vector - w * across + np.cross(xyz, across)
+
+
+def projected_gravity(quat_wxyz: Array) -> Array:
+    """World down seen from the base, unit vector of shape (3,).
+
+    A quaternion that is off unit length by rounding is normalised; guards reject one that is off by more.
+    """
+    return rotate_inverse(quat_wxyz / np.linalg.norm(quat_wxyz), np.array([0.0, 0.0, -1.0]))
+
+
+class ObservationBuilder:
+    """Concatenates ``scale * source`` for each term, joints in policy order."""
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._sources = [term.source for term in bundle.terms]
+        self._scale = np.concatenate([np.array(term.scale) for term in bundle.terms])
+        self._stance = bundle.per_joint("stance")
+
+    def build(self, state: RobotState, command: Array, last_action: Array) -> NDArray[np.float32]:
+        """The observation, shape (P,).
+
+        Args:
+            state: Robot state with its joints in policy order.
+            command: (vx, vy, yaw_rate), base frame, m/s and rad/s.
+            last_action: Previous action after clipping, shape (12,); zeros at the start.
+        """
+        values = {
+            "base_angular_velocity": state.gyro,
+            "projected_gravity": projected_gravity(state.quat_wxyz),
+            "command": command,
+            "joint_position_error": state.q - self._stance,
+            "joint_velocity": state.dq,
+            "last_action": last_action,
+        }
+        raw = np.concatenate([values[source] for source in self._sources])
+        return (self._scale * raw).astype(np.float32)
