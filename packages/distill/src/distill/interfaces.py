@@ -1,0 +1,114 @@
+"""What distill needs from others: an environment to visit states in, and a teacher to label them.
+
+Any object of this shape will do; nothing is imported from the package that provides it.
+N is the number of parallel robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol, TypeAlias, runtime_checkable
+
+import torch
+from torch import Tensor, nn
+
+from distill.errors import InterfaceError
+
+Observation: TypeAlias = Mapping[str, Tensor]
+"""Group name -> (N, dim) float32."""
+
+ACTIONS = 12
+VELOCITY = 3
+
+
+class StudentEnv(Protocol):
+    """A batch of N robots that restart by themselves.
+
+    Observation groups (`group_dims` gives the width of each):
+        proprio: (N, P) what the onboard sensors give, as listed in the bundle's observation terms.
+        explicit: (N, 3) base linear velocity, base frame, m/s; simulator truth.
+        implicit: (N, I) mass, design, friction and so on; simulator truth, read by the teacher only.
+        Other groups may be present and are handed to the teacher.
+    """
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Where observations live and actions are expected."""
+        ...
+
+    @property
+    def group_dims(self) -> Mapping[str, int]:
+        """Width of each observation group."""
+        ...
+
+    def reset(self, seed: int | None = None) -> Observation:
+        """Restart all robots; the same seed gives the same episodes under the same actions."""
+        ...
+
+    def step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, object]]:
+        """Advance one control step.
+
+        Args:
+            action: (N, 12) network output, before clipping and scaling.
+
+        Returns:
+            observation: groups as above; of the new episode where a robot has just ended one.
+            reward: (N,).
+            terminated: (N,) bool, the robot failed.
+            truncated: (N,) bool, the episode ran out of time.
+            info: anything else.
+        """
+        ...
+
+
+class Teacher(Protocol):
+    """A privileged policy."""
+
+    def act(self, obs: Observation) -> Tensor:
+        """Mean action (N, 12); deterministic, without gradient."""
+        ...
+
+
+@runtime_checkable
+class PrivilegedTeacher(Protocol):
+    """A teacher that opens its network, so that the student can start from a copy of it."""
+
+    @property
+    def latent_dim(self) -> int:
+        """L, width of the privileged latent."""
+        ...
+
+    @property
+    def actor(self) -> nn.Module:
+        """Maps the concatenation [proprio, explicit, latent] (N, P + 3 + L) to the mean action (N, 12)."""
+        ...
+
+    def act(self, obs: Observation) -> Tensor:
+        """Mean action (N, 12); deterministic, without gradient."""
+        ...
+
+    def latent(self, obs: Observation) -> Tensor:
+        """Output (N, L) of the privileged encoder, without gradient."""
+        ...
+
+
+def check_env(env: StudentEnv) -> None:
+    """Check the observation groups of an environment.
+
+    Raises:
+        InterfaceError: a group is missing or has the wrong width.
+    """
+    dims = env.group_dims
+    for group in ("proprio", "explicit"):
+        if group not in dims:
+            raise InterfaceError(f"the environment has no observation group '{group}'; it has {sorted(dims)}")
+    if dims["explicit"] != VELOCITY:
+        raise InterfaceError(
+            f"observation group 'explicit' is {dims['explicit']} wide; "
+            f"expected {VELOCITY}: base linear velocity in the base frame, m/s"
+        )

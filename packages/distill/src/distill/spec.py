@@ -1,0 +1,150 @@
+"""What a bundle says about the robot and the policy's interface, as plain data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Literal, TypeAlias
+
+from distill.errors import BundleError
+from distill.interfaces import ACTIONS
+
+Source: TypeAlias = Literal[
+    "base_angular_velocity",
+    "projected_gravity",
+    "command",
+    "joint_position_error",
+    "joint_velocity",
+    "last_action",
+]
+
+SOURCE_SIZES: Mapping[Source, int] = {
+    "base_angular_velocity": 3,
+    "projected_gravity": 3,
+    "command": 3,
+    "joint_position_error": ACTIONS,
+    "joint_velocity": ACTIONS,
+    "last_action": ACTIONS,
+}
+"""Elements of each observation source."""
+
+
+@dataclass(frozen=True)
+class JointSpec:
+    """One actuated joint; angles in rad, torques in N m, rates in rad/s."""
+
+    name: str
+    actuator: str
+    """Name of its actuator in the MJCF."""
+    stance: float
+    """Joint angle of the stance."""
+    target_offset: float
+    """Servo target that holds the stance against gravity."""
+    kp: float
+    """N m/rad."""
+    kd: float
+    """N m s/rad."""
+    torque_limit: float
+    lower: float
+    upper: float
+    velocity_limit: float | None = None
+
+
+@dataclass(frozen=True)
+class ObservationTerm:
+    """A slice of the proprioception: `scale * source`; terms are concatenated in order."""
+
+    name: str
+    source: Source
+    scale: float | tuple[float, ...] = 1.0
+    """One factor, or one per element."""
+    frame: str = ""
+    unit: str = ""
+
+    @property
+    def size(self) -> int:
+        """Elements of the term."""
+        return SOURCE_SIZES[self.source]
+
+
+@dataclass(frozen=True)
+class BundleSpec:
+    """Everything that a robot needs beside the network."""
+
+    name: str
+    """Name of the bundle."""
+    robot: str
+    """Name of the robot."""
+    base: str
+    """Body that carries the free joint."""
+    feet: tuple[str, ...]
+    """The four foot sites."""
+    design: Mapping[str, float]
+    """The chosen body: parameter -> value."""
+    total_mass: float
+    """kg"""
+    joints: tuple[JointSpec, ...]
+    """The 12 actuated joints in policy order."""
+    observation: tuple[ObservationTerm, ...]
+    """The terms of the group "proprio", in order."""
+    urdf: str
+    """URDF text of the chosen body."""
+    robot_xml: str
+    """MJCF text: free joint, 12 position servos, sensors; compiles alone."""
+    scene_xml: str
+    """MJCF text: the training terrain with the same robot and solver options."""
+    start_height: float
+    """World z of the base at the stance, m."""
+    physics_dt: float
+    """Physics step of the training simulation, s."""
+    command_low: tuple[float, float, float]
+    """Trained range of (vx, vy, yaw rate), base frame, m/s and rad/s."""
+    command_high: tuple[float, float, float]
+    """Upper end of that range."""
+    action_scale: float = 0.25
+    """rad per unit of action."""
+    action_clip: float | None = None
+    """Actions are limited to [-clip, clip]; None: not limited."""
+    policy_hz: float = 50.0
+    """Rate of the policy."""
+    start_quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    """Orientation of the base at the stance."""
+    training: Mapping[str, object] = field(default_factory=dict)
+    """Provenance: JSON of any shape."""
+    commit: str | None = None
+    """Version-control commit of the code that trained the policy."""
+
+    @property
+    def proprio(self) -> int:
+        """P, width of the observation."""
+        return sum(term.size for term in self.observation)
+
+    def __post_init__(self) -> None:
+        if len(self.joints) != ACTIONS:
+            raise BundleError(f"a bundle lists {ACTIONS} joints; BundleSpec.joints has {len(self.joints)}")
+        for what, names in (
+            ("joint", [joint.name for joint in self.joints]),
+            ("actuator", [joint.actuator for joint in self.joints]),
+            ("observation term", [term.name for term in self.observation]),
+        ):
+            if repeated := sorted({name for name in names if names.count(name) > 1}):
+                raise BundleError(f"{what} {', '.join(repeated)} is listed more than once")
+        for term in self.observation:
+            if term.source not in SOURCE_SIZES:
+                known = ", ".join(SOURCE_SIZES)
+                raise BundleError(
+                    f"observation term '{term.name}': source '{term.source}' is none of {known}"
+                )
+            if isinstance(term.scale, Sequence) and len(term.scale) != term.size:
+                raise BundleError(
+                    f"observation term '{term.name}' has {len(term.scale)} scales for {term.size} elements"
+                )
+        for joint in self.joints:
+            for item in fields(joint):
+                value = getattr(joint, item.name)
+                if isinstance(value, float) and not math.isfinite(value):
+                    raise BundleError(f"joint '{joint.name}': {item.name} is {value}")
+        for name in ("urdf", "robot_xml", "scene_xml"):
+            if not getattr(self, name).strip():
+                raise BundleError(f"BundleSpec.{name} is empty; give the text of the file")
