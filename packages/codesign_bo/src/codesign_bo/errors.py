@@ -1,0 +1,7 @@
+"""The error a user of a study can meet and act upon."""
+
+from __future__ import annotations
+
+
+class StudyError(RuntimeError):
+    """A study cannot go on as asked; the message names the file, the cause and the way out."""
