@@ -1,5 +1,7 @@
 """n bodies as per-simulation fields of one compiled MuJoCo model."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 from collections.abc import Mapping

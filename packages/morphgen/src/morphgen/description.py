@@ -12,7 +12,7 @@ LEGS = ("FL", "FR", "RL", "RR")
 
 @dataclass(frozen=True)
 class Inertial:
-    """Mass [kg], centre of mass [m], and inertia about it (ixx, ixy, ixz, iyy, iyz, izz) [kg m^2]; link axes."""
+    """Mass [kg], centre of mass [m], inertia about it (ixx, ixy, ixz, iyy, iyz, izz) [kg m^2]; link axes."""
 
     mass: float
     com: tuple[float, float, float]

@@ -1,5 +1,7 @@
 """From design vectors to bodies: the class that simulators and searches hold."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 import mujoco

@@ -1,5 +1,7 @@
 """URDF to MuJoCo: free base, PD position servos, IMU, contact sensors, in any scene."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 from dataclasses import dataclass

@@ -15,18 +15,27 @@ from numpy.typing import NDArray
 
 from morphgen.errors import MorphologyError
 
-__all__ = ["Element", "format_vector", "named", "parse_urdf", "read_vector", "to_text", "write_text"]
+__all__ = [
+    "Element",
+    "format_vector",
+    "named",
+    "parse_urdf",
+    "parse_xml",
+    "read_vector",
+    "to_text",
+    "write_text",
+]
 
 
-def parse_urdf(text: str, source: str = "URDF") -> Element:
-    """Parse URDF text into its `<robot>` element; comments and unknown tags are kept.
+def parse_xml(text: str, source: str) -> Element:
+    """Parse XML text without expanding entities or reading anything else; comments are kept.
 
     Args:
-        text: the URDF.
+        text: the XML.
         source: name of the file, for messages.
 
     Raises:
-        MorphologyError: not well-formed, has a DOCTYPE, or is not a `<robot>`.
+        MorphologyError: not well-formed, or has a DOCTYPE.
     """
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
     try:
@@ -34,14 +43,24 @@ def parse_urdf(text: str, source: str = "URDF") -> Element:
     except etree.XMLSyntaxError as error:
         raise MorphologyError(f"{source}: not well-formed XML: {error}") from error
     if root.getroottree().docinfo.doctype:
-        raise MorphologyError(f"{source}: has a DOCTYPE, which URDF does not need; remove it")
+        raise MorphologyError(f"{source}: has a DOCTYPE, which a robot does not need; remove it")
+    return root
+
+
+def parse_urdf(text: str, source: str = "URDF") -> Element:
+    """Parse URDF text into its `<robot>` element, as `parse_xml`.
+
+    Raises:
+        MorphologyError: as `parse_xml`, or the root is not `<robot>`.
+    """
+    root = parse_xml(text, source)
     if root.tag != "robot":
         raise MorphologyError(f"{source}: the root element is <{root.tag}>, expected <robot>")
     return root
 
 
 def to_text(root: Element) -> str:
-    """Serialise a tree to URDF text with an XML declaration."""
+    """Serialise a tree to text with an XML declaration."""
     return '<?xml version="1.0" encoding="utf-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
 
 
