@@ -38,9 +38,7 @@ def repeat_design(factory: BodyFactory, design: Array, count: int) -> Array:
     space = factory.space
     design = np.asarray(design, dtype=np.float64)
     if design.shape != (len(space.names),):
-        raise ValueError(
-            f"a design of '{factory.name}' has {len(space.names)} parameters {space.names}, got {design}"
-        )
+        raise ValueError(f"a design of '{factory.name}' has {len(space.names)} parameters {space.names}, got {design}")
     outside = [
         f"{name}={value:g} not in [{low:g}, {high:g}]"
         for name, value, low, high in zip(space.names, design, space.low, space.high, strict=True)
@@ -49,9 +47,7 @@ def repeat_design(factory: BodyFactory, design: Array, count: int) -> Array:
     if outside:
         raise ValueError(f"design of '{factory.name}' out of bounds: {', '.join(outside)}")
     if not feasible(factory, design[None])[0]:
-        raise ValueError(
-            f"the body {dict(zip(space.names, design, strict=True))} of '{factory.name}' has no stance"
-        )
+        raise ValueError(f"the body {dict(zip(space.names, design, strict=True))} of '{factory.name}' has no stance")
     return np.tile(design, (count, 1))
 
 

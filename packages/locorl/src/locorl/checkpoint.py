@@ -27,9 +27,7 @@ def save(path: Path, content: Mapping[str, Any]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     except OSError as error:
-        raise CheckpointError(
-            f"cannot write to {path.parent}: {error}; free space or choose another folder"
-        ) from error
+        raise CheckpointError(f"cannot write to {path.parent}: {error}; free space or choose another folder") from error
     try:
         with os.fdopen(handle, "wb") as file:
             torch.save({"format": FORMAT, **content}, file)

@@ -15,7 +15,6 @@ from rich.table import Table
 
 from locorl.bodies import design_grid, feasible, sample_designs
 from locorl.checkpoint import CheckpointError
-from locorl.config import to_dict
 from locorl.evaluate import EvalConfig, Evaluation, evaluate
 from locorl.finetune import FinetuneConfig, finetune
 from locorl.policy import load_policy
@@ -43,7 +42,6 @@ class Train:
             f"= {samples / 1e6:.1f} M environment steps -> {self.folder}"
         )
         trainer = Trainer(find_factory(self.robot), self.config, self.folder)
-        (self.folder / "config.json").write_text(json.dumps(to_dict(self), indent=2, default=str) + "\n")
         trainer.run()
 
 

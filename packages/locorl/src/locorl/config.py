@@ -25,9 +25,7 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
     hints = get_type_hints(cls)
     unknown = set(data) - set(hints)
     if unknown:
-        raise ValueError(
-            f"{cls.__name__} has no field {sorted(unknown)}; was this written by another version?"
-        )
+        raise ValueError(f"{cls.__name__} has no field {sorted(unknown)}; was this written by another version?")
     return cls(**{name: _restore(hints[name], value) for name, value in data.items()})
 
 

@@ -135,9 +135,7 @@ class LeggedEnv:
         everyone = torch.arange(self.num_envs)
         self._reset(everyone)
         if self.task.randomisation.stagger:
-            self.episode_step = torch.randint(
-                0, self.task.episode_steps, (self.num_envs,), generator=self.generator
-            )
+            self.episode_step = torch.randint(0, self.task.episode_steps, (self.num_envs,), generator=self.generator)
         return self._observe()
 
     def step(self, action: Tensor) -> tuple[Obs, Tensor, Tensor, Tensor, StepInfo]:
@@ -195,9 +193,7 @@ class LeggedEnv:
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> Obs:
         """Go back to a saved state and return its observation."""
-        self.sim.load_state_dict(
-            {k.removeprefix("sim."): v for k, v in state.items() if k.startswith("sim.")}
-        )
+        self.sim.load_state_dict({k.removeprefix("sim."): v for k, v in state.items() if k.startswith("sim.")})
         for name in _STATE:
             setattr(self, name, state[name].clone())
         self.generator.set_state(state["generator"])
@@ -216,8 +212,7 @@ class LeggedEnv:
         scale = {term.name: term.scale for term in self.layout.implicit}
         blocks = (
             torch.from_numpy((designs - np.asarray(space.nominal)) / half_range),
-            scale["mass_ratio"]
-            * torch.from_numpy(np.asarray(self.bodies.total_mass) / nominal_mass - 1.0)[:, None],
+            scale["mass_ratio"] * torch.from_numpy(np.asarray(self.bodies.total_mass) / nominal_mass - 1.0)[:, None],
             scale["centre_of_mass"] * self.sim.centre_of_mass(),
             scale["stance_height"] * self.stance_qpos[:, 2:3],
             friction[:, None],
@@ -246,18 +241,14 @@ class LeggedEnv:
             "joint_velocity": now.qd,
             "last_action": self.action[rows],
         }
-        terms = [
-            quantity[t.name] if t.scale == 1.0 else quantity[t.name] * t.scale for t in self.layout.proprio
-        ]
+        terms = [quantity[t.name] if t.scale == 1.0 else quantity[t.name] * t.scale for t in self.layout.proprio]
         return {
             "proprio": torch.cat(terms, dim=1),
             "explicit": now.velocity.clone(),
             "implicit": self._implicit[rows],
         }
 
-    def _reward(
-        self, now: _Kinematics, last_action: Tensor, power: Tensor
-    ) -> tuple[Tensor, dict[str, Tensor]]:
+    def _reward(self, now: _Kinematics, last_action: Tensor, power: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
         sensors = self.sim.sensors
         touching = sensors[:, self._feet] > 0
         contact = touching | self._last_contact

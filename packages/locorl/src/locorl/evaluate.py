@@ -86,9 +86,7 @@ class Evaluation:
             "distance": float(self.distance.mean()),
             "commanded_distance": float((self.command * self.config.seconds).mean()),
             "energy": float(self.energy.mean()),
-            "cost_of_transport": float(self.cost_of_transport[moving].mean())
-            if moving.any()
-            else float("inf"),
+            "cost_of_transport": float(self.cost_of_transport[moving].mean()) if moving.any() else float("inf"),
         }
 
 

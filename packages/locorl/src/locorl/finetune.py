@@ -19,9 +19,7 @@ class FinetuneConfig:
 
     num_envs: int = 512
     iterations: int = 12
-    ppo: PPOConfig = field(
-        default_factory=lambda: PPOConfig(steps=25, learning_rate=2e-4, max_learning_rate=1e-3)
-    )
+    ppo: PPOConfig = field(default_factory=lambda: PPOConfig(steps=25, learning_rate=2e-4, max_learning_rate=1e-3))
     specific_power: float | None = None
     """Weight of positive mechanical power over body weight in the reward; None keeps the generalist's."""
     command_vx: tuple[float, float] | None = None

@@ -118,7 +118,5 @@ def policy_from(content: Mapping[str, Any], path: Path) -> Policy:
         model = ActorCritic(card.dims, 12, card.network)
         model.load_state_dict(content["model"])
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
-        raise checkpoint.CheckpointError(
-            f"{path} holds no policy that this version can read: {error}"
-        ) from error
+        raise checkpoint.CheckpointError(f"{path} holds no policy that this version can read: {error}") from error
     return Policy(model, card)

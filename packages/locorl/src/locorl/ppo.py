@@ -49,9 +49,7 @@ class PPOConfig:
     def __post_init__(self) -> None:
         """Refuse impossible settings before anything runs."""
         if not 0.0 < self.gamma_reg < 1.0 or not 0.0 <= self.lam <= 1.0:
-            raise ValueError(
-                f"PPOConfig: need 0 < gamma_reg < 1 and 0 <= lam <= 1, got {self.gamma_reg}, {self.lam}"
-            )
+            raise ValueError(f"PPOConfig: need 0 < gamma_reg < 1 and 0 <= lam <= 1, got {self.gamma_reg}, {self.lam}")
         if min(self.steps, self.epochs, self.minibatches) < 1:
             raise ValueError("PPOConfig: steps, epochs and minibatches must be at least 1")
 
@@ -82,9 +80,7 @@ class PPO:
         self.rollout = Rollout(config.steps, num_envs, dims, model.log_std.numel())
 
     @torch.no_grad()
-    def collect(
-        self, env: LeggedEnv, obs: Mapping[str, Tensor]
-    ) -> tuple[dict[str, Tensor], dict[str, float]]:
+    def collect(self, env: LeggedEnv, obs: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
         """Fill the rollout from `env`, starting at `obs`.
 
         Returns:
@@ -115,9 +111,7 @@ class PPO:
         truncated = rollout.done & ~rollout.terminated
         rollout.next_value = torch.where(truncated, rollout.next_value, following)
         if not (rollout.reward.isfinite().all() and rollout.value.isfinite().all()):
-            raise DivergedError(
-                "a reward or an observation is not finite: check the bodies and the physics step"
-            )
+            raise DivergedError("a reward or an observation is not finite: check the bodies and the physics step")
         rollout.advantage, rollout.target = generalised_advantage(
             rollout.reward,
             rollout.value,
@@ -170,9 +164,7 @@ class PPO:
         """Clipped surrogate and clipped value loss of a minibatch."""
         clip = self.config.clip
         ratio = (self.model.log_prob(mean, batch.action) - batch.log_prob).exp()
-        surrogate = -torch.min(
-            batch.advantage * ratio, batch.advantage * ratio.clamp(1 - clip, 1 + clip)
-        ).mean()
+        surrogate = -torch.min(batch.advantage * ratio, batch.advantage * ratio.clamp(1 - clip, 1 + clip)).mean()
         value = self.model.value(batch.obs)
         clipped = batch.value + (value - batch.value).clamp(-clip, clip)
         value_loss = torch.max((value - batch.target).square(), (clipped - batch.target).square()).mean()

@@ -212,8 +212,6 @@ def total_reward(state: StepState, config: RewardConfig, dt: float) -> tuple[Ten
     Returns:
         The reward (N,), and each term's weighted share, name -> (N,).
     """
-    parts = {
-        name: TERMS[name](state, config) * (weight * dt) for name, weight in active_terms(config).items()
-    }
+    parts = {name: TERMS[name](state, config) * (weight * dt) for name, weight in active_terms(config).items()}
     reward = torch.stack(tuple(parts.values())).sum(dim=0)
     return (reward.clamp(min=0.0) if config.clip_at_zero else reward), parts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -49,7 +50,7 @@ class Trainer:
     """Trains one policy on N bodies and can be killed and resumed at any moment.
 
     Files in `folder`: `checkpoint.pt` (everything, for resuming), `policy.pt` (the networks alone),
-    `metrics.jsonl`. Without a folder nothing is written.
+    `metrics.jsonl`, `config.json`. Without a folder nothing is written.
 
     Args:
         factory: makes the bodies.
@@ -126,7 +127,11 @@ class Trainer:
         """
         config = self.config
         rows: list[dict[str, float]] = []
-        log = MetricsFile(self.folder / "metrics.jsonl", self.iteration) if self.folder else None
+        log = None
+        if self.folder:
+            log = MetricsFile(self.folder / "metrics.jsonl", self.iteration)
+            described = {"robot": self._card.robot, **to_dict(config)}
+            (self.folder / "config.json").write_text(json.dumps(described, indent=2) + "\n", encoding="utf-8")
         if self._obs is None:
             self._obs = self.env.reset()
         with TrainingProgress(title, config.iterations, self.iteration, quiet) as progress:
@@ -153,9 +158,7 @@ class Trainer:
                     self.iteration,
                     f"reward {stats['reward']:.2f}/s  error {stats['tracking_error']:.3f} m/s  {rate / 1000:.1f} k/s",
                 )
-                if self.folder and (
-                    self.iteration % config.save_every == 0 or self.iteration == config.iterations
-                ):
+                if self.folder and (self.iteration % config.save_every == 0 or self.iteration == config.iterations):
                     self.save()
         return rows
 
@@ -184,8 +187,7 @@ class Trainer:
         changes = differences({**content["config"], "iterations": 0}, {**mine, "iterations": 0})
         if changes:
             raise checkpoint.CheckpointError(
-                f"{path} belongs to another configuration; use another folder. Differences:\n  "
-                + "\n  ".join(changes)
+                f"{path} belongs to another configuration; use another folder. Differences:\n  " + "\n  ".join(changes)
             )
         return content
 
