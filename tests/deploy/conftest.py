@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
-from deploy.interfaces import RobotSpec, RobotState
 from onnx import TensorProto, helper, numpy_helper
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -38,11 +37,14 @@ def leg_xml(leg: str) -> str:
 
     def joint(part: str, axis: str) -> str:
         low, high = RANGE[part]
-        return f'<joint name="{leg}_{part}_joint" axis="{axis}" range="{low} {high}" armature="0.01" damping="0.1"/>'
+        name = f"{leg}_{part}_joint"
+        return f'<joint name="{name}" axis="{axis}" range="{low} {high}" armature="0.01" damping="0.1"/>'
 
     return f"""
-    <body pos="{x} {y} 0">{joint("hip", "1 0 0")}<inertial pos="0 0 0" mass="0.2" diaginertia="1e-3 1e-3 1e-3"/>
-      <body>{joint("thigh", "0 1 0")}<geom type="box" size=".015 .015 .1" pos="0 0 -.1" mass=".2" contype="0" conaffinity="0"/>
+    <body pos="{x} {y} 0">{joint("hip", "1 0 0")}
+      <inertial pos="0 0 0" mass="0.2" diaginertia="1e-3 1e-3 1e-3"/>
+      <body>{joint("thigh", "0 1 0")}
+        <geom type="box" size=".015 .015 .1" pos="0 0 -.1" mass=".2" contype="0" conaffinity="0"/>
         <body pos="0 0 -.2">{joint("calf", "0 1 0")}
           <geom type="box" size=".01 .01 .1" pos="0 0 -.1" mass=".1" contype="0" conaffinity="0"/>
           <geom type="sphere" size=".02" pos="0 0 -.2" mass="0" friction="1 .01 .001"/>
@@ -52,7 +54,8 @@ def leg_xml(leg: str) -> str:
 
 def scene_xml(order: tuple[str, ...] = JOINTS, timestep: float = 0.005) -> str:
     servos = "".join(
-        f'<position name="{name}" joint="{name}" kp="{KP}" kv="{KD}" forcerange="{-TORQUE} {TORQUE}"/>' for name in order
+        f'<position name="{name}" joint="{name}" kp="{KP}" kv="{KD}" forcerange="{-TORQUE} {TORQUE}"/>'
+        for name in order
     )
     return f"""<mujoco model="box">
   <compiler angle="radian"/>
@@ -73,9 +76,9 @@ def trot_onnx() -> bytes:
     rng = np.random.default_rng(0)
     diagonal = np.repeat([0.0, np.pi, np.pi, 0.0], 3)
     lag = np.tile([0.0, 0.0, np.pi / 2], 4)
-    amplitude = np.tile([0.0, 0.8, 0.9], 4)
+    amplitude = np.tile([0.0, 0.4, 0.45], 4)
     constants = {
-        "step": np.full((1, 1), 2 * np.pi * 2.0 * TICK),
+        "step": np.full((1, 1), 2 * np.pi * 2.5 * TICK),
         "offset": (diagonal + lag)[None],
         "amplitude": amplitude[None],
         "w": 0.002 * rng.standard_normal((SIZE, 12)),
@@ -135,7 +138,14 @@ def reference_golden(ticks: int = 24) -> dict[str, np.ndarray]:
         w, x, y, z = quat[t]
         down = -np.array([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z])
         obs = np.concatenate(
-            [trace["gyro"][t] * 0.25, down, trace["command"][t] * 2.0, trace["q"][t] - stance, trace["dq"][t] * 0.05, last]
+            [
+                trace["gyro"][t] * 0.25,
+                down,
+                trace["command"][t] * 2.0,
+                trace["q"][t] - stance,
+                trace["dq"][t] * 0.05,
+                last,
+            ]
         )
         smooth = 0.9 * smooth + obs
         last = const["amplitude"][0] * np.sin(phase + const["offset"][0]) + smooth @ const["w"]
@@ -197,8 +207,8 @@ def make_manifest() -> dict:
             "inputs": {"obs": [1, SIZE]},
             "outputs": {"action": [1, 12], "velocity": [1, 3]},
             "state": [
-                {"input": "phase_in", "output": "phase_out", "shape": [1, 1], "init": "zeros", "reset": "start"},
-                {"input": "smooth_in", "output": "smooth_out", "shape": [1, SIZE], "init": "zeros", "reset": "start"},
+                {"input": f"{name}_in", "output": f"{name}_out", "shape": [1, n], "init": "zeros", "reset": "start"}
+                for name, n in (("phase", 1), ("smooth", SIZE))
             ],
         },
         "golden": {"file": "golden.npz", "ticks": 24, "atol": 1e-5},

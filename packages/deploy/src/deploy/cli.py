@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from deploy.bundle import load_bundle
@@ -52,9 +53,21 @@ class Report:
 
     log: tyro.conf.Positional[Path]
     """MCAP file that `deploy run` wrote."""
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = field(default=False)
+    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
     """Print the summary as JSON."""
 
+
+UNITS = {
+    "_m": "m",
+    "_j_50hz": "J",
+    "_j_physics": "J",
+    "_w_ticks": "W·ticks",
+    "_w": "W",
+    "_s": "s",
+    "_speed": "m/s",
+    "tracking_error": "m/s",
+    "yaw_rate_error": "rad/s",
+}
 
 Command = (
     Annotated[Check, tyro.conf.subcommand("check")]
@@ -73,15 +86,13 @@ def main(args: list[str] | None = None) -> None:
             case Check():
                 _check(command.bundle)
             case Run():
-                summary = run(
-                    command.bundle, command.command, command.duration, command.log, seed=command.seed
-                )
+                summary = run(command.bundle, command.command, command.duration, command.log, seed=command.seed)
                 _print(summary, command.as_json)
                 sys.exit(0 if summary.completed else 2)
             case Report():
                 _print(report(command.log), command.as_json)
     except DeployError as error:
-        Console(stderr=True, soft_wrap=True).print(f"[bold red]error[/] {error}", highlight=False)
+        Console(stderr=True, soft_wrap=True).print(f"[bold red]error[/] {escape(str(error))}", highlight=False)
         sys.exit(1)
 
 
@@ -96,8 +107,8 @@ def _check(folder: Path) -> None:
     table.add_row("sha256", bundle.sha256)
     table.add_row(
         "golden trace",
-        f"{result.ticks} ticks; largest difference: observation {result.obs:.1e}, action {result.action:.1e}, "
-        f"target {result.target:.1e} (allowed {bundle.golden.atol:g})",
+        f"{result.ticks} ticks; largest difference: observation {result.obs:.1e}, "
+        f"action {result.action:.1e}, target {result.target:.1e} (allowed {bundle.golden.atol:g})",
     )
     Console().print(table)
 
@@ -106,20 +117,11 @@ def _print(summary: RunSummary, as_json: bool) -> None:
     if as_json:
         print(json.dumps(summary.to_dict(), indent=2, allow_nan=False))
         return
-    units = {
-        "_m": "m",
-        "_j": "J",
-        "_j_50hz": "J",
-        "_j_physics": "J",
-        "_w": "W",
-        "_s": "s",
-        "_w_ticks": "W·ticks",
-    }
     table = Table("quantity", "value", title=f"{summary.bundle} on {summary.robot}")
     for name, value in summary.to_dict().items():
         if name in ("bundle", "robot"):
             continue
-        unit = next((unit for ending, unit in units.items() if name.endswith(ending)), "")
+        unit = next((unit for ending, unit in UNITS.items() if name.endswith(ending)), "")
         text = "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
         table.add_row(name, f"{text} {unit}".strip())
     Console().print(table)

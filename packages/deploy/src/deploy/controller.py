@@ -12,9 +12,9 @@ from enum import Enum
 import numpy as np
 
 from deploy.binding import JointBinding
-from deploy.bundle import Bundle
 from deploy.guards import GuardLimits, Guards
 from deploy.interfaces import Array, JointCommand, PolicyRuntime, RobotInterface, RobotState
+from deploy.manifest import Bundle
 from deploy.policy import Policy, PolicyStep
 from deploy.schedule import Slot
 

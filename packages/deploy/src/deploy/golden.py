@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bundle import Bundle
 from deploy.errors import BundleError
 from deploy.interfaces import PolicyRuntime, RobotState
+from deploy.manifest import Bundle
 from deploy.policy import Policy
 
 COMPARED = ("obs", "action", "target")

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deploy.bundle import Bundle
 from deploy.interfaces import Array, RobotState
+from deploy.manifest import Bundle
 from deploy.observation import projected_gravity
 
 

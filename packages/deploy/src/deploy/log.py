@@ -11,8 +11,9 @@ from types import TracebackType
 
 from mcap.writer import Writer
 
-from deploy.bundle import MANIFEST, Bundle
+from deploy.bundle import MANIFEST
 from deploy.errors import LogError
+from deploy.manifest import Bundle
 from deploy.messages import TOPICS, Encoder, Sample
 
 FLUSH_TICKS = 25
@@ -47,8 +48,8 @@ def partial_path(path: Path) -> Path:
 class LogWriter:
     """A context manager that writes one log.
 
-    The log grows beside its final place and moves there when it is closed, also after an error, so that a file
-    under the final name is always complete and an older one stays until then.
+    The log grows beside its final place and moves there when it is closed, also after an error: a file under
+    the final name is always complete, and an older one stays until then.
     """
 
     def __init__(self, path: str | Path, bundle: Bundle, info: RunInfo) -> None:
@@ -108,9 +109,7 @@ class LogWriter:
         slot = sample.tick.slot
         try:
             if self._ticks == 0:
-                self._add(
-                    "/robot_description", self._encoder.text(self._description), slot.start_ns, slot.index
-                )
+                self._add("/robot_description", self._encoder.text(self._description), slot.start_ns, slot.index)
             for topic, message in self._encoder.messages(sample):
                 self._add(topic, message, slot.start_ns, slot.index)
             self._ticks += 1

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deploy.bundle import Bundle
 from deploy.controller import Tick
 from deploy.interfaces import Array, EnergyReading, GroundTruth
+from deploy.manifest import Bundle
 from deploy.observation import rotate_inverse
 
 WORLD, BASE = "world", "base"
@@ -180,9 +180,7 @@ class Encoder:
         )
 
     def _twist(self, linear: Array, angular: Array) -> Any:
-        return self._make(
-            "geometry_msgs/msg/Twist", linear=self._vector(linear), angular=self._vector(angular)
-        )
+        return self._make("geometry_msgs/msg/Twist", linear=self._vector(linear), angular=self._vector(angular))
 
     def _twist_stamped(self, stamp_ns: int, linear: Array, yaw_rate: float) -> Any:
         return self._make(

@@ -1,16 +1,17 @@
 """The bundle's own scene in MuJoCo as a robot: PD at every physics step, virtual clock, deterministic."""
 
+# pyright: reportAttributeAccessIssue=false
+# mujoco ships no type stubs for its compiled modules.
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from deploy.bundle import Bundle
 from deploy.errors import RobotError
 from deploy.interfaces import (
-    Array,
     DepthFrame,
     EnergyReading,
     GroundTruth,
@@ -18,6 +19,7 @@ from deploy.interfaces import (
     RobotSpec,
     RobotState,
 )
+from deploy.manifest import Bundle
 from deploy.observation import rotate_inverse
 
 SAME_BODY = 1e-3
@@ -30,28 +32,26 @@ class _Addresses:
     """Where the joints of the robot live in the model, in the order of its actuators."""
 
     names: tuple[str, ...]
-    actuator: Array
-    qpos: Array
-    dof: Array
+    actuator: NDArray[np.intp]
+    qpos: NDArray[np.intp]
+    dof: NDArray[np.intp]
 
 
 class MujocoRobot:
     """A simulated robot that satisfies `RobotInterface` and `Simulated`.
 
     Time passes only in `sleep_until`. The servo law of a `JointCommand` is written into gain and bias of the
-    model's position actuators, so that MuJoCo evaluates it, clamped to the torque limit, at every physics step.
+    model's position actuators: MuJoCo evaluates it, clamped to the torque limit, at every physics step.
     The readings are ideal: those of an IMU at the base origin and of exact encoders.
     """
 
-    def __init__(
-        self, bundle: Bundle, seed: int = 0, joint_noise: float = 0.02, damping: float = 3.0
-    ) -> None:
+    def __init__(self, bundle: Bundle, seed: int = 0, joint_noise: float = 0.02, damping: float = 3.0) -> None:
         """Load the scene and put the robot into its stance.
 
         Args:
             bundle: A verified bundle; its scene file is loaded.
             seed: Seed of the initial joint noise.
-            joint_noise: Half-width of the uniform initial noise on each joint, rad; 0 starts in the exact stance.
+            joint_noise: Half-width of the uniform initial noise on each joint, rad.
             damping: Gain of `damp`, N m s/rad.
 
         Raises:
@@ -62,6 +62,8 @@ class MujocoRobot:
             self._model = mujoco.MjModel.from_xml_path(str(self._path))
         except ValueError as error:
             raise RobotError(f"{self._path}: MuJoCo cannot compile it ({error}); export it again") from error
+        # A diverged simulation must reach the guards as it is, not restart behind their back.
+        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self._data = mujoco.MjData(self._model)
         self._joints = self._find_joints(bundle)
         self._base = self._find("body", mujoco.mjtObj.mjOBJ_BODY, bundle.robot.base)
@@ -86,13 +88,10 @@ class MujocoRobot:
     def _find_joints(self, bundle: Bundle) -> _Addresses:
         model = self._model
         wanted = {
-            self._find("actuator", mujoco.mjtObj.mjOBJ_ACTUATOR, joint.actuator): joint.name
-            for joint in bundle.joints
+            self._find("actuator", mujoco.mjtObj.mjOBJ_ACTUATOR, joint.actuator): joint.name for joint in bundle.joints
         }
         if model.nu != len(wanted):
-            raise RobotError(
-                f"{self._path}: {model.nu} actuators, the manifest has {len(wanted)}; export it again"
-            )
+            raise RobotError(f"{self._path}: {model.nu} actuators, the manifest has {len(wanted)}; export it again")
         qpos, dof = [], []
         for actuator, name in sorted(wanted.items()):
             joint = self._find("joint", mujoco.mjtObj.mjOBJ_JOINT, name)
@@ -185,7 +184,7 @@ class MujocoRobot:
         for _ in range(steps):
             velocity = self._data.qvel[self._joints.dof].copy()
             mujoco.mj_step(self._model, self._data)
-            # mj_step leaves the forces that acted at its start, so they pair with the velocity from before it.
+            # mj_step leaves the forces that acted at its start: they pair with the velocity from before it.
             power = float(np.maximum(self._data.qfrc_actuator[self._joints.dof] * velocity, 0.0).sum())
             self._energy_pos += power * self._model.opt.timestep
             self._peak_pos = max(self._peak_pos, power)

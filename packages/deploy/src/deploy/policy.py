@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.bundle import Bundle
 from deploy.interfaces import Array, PolicyRuntime, RobotState
+from deploy.manifest import Bundle
 from deploy.observation import ObservationBuilder
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from deploy.bundle import Bundle
 from deploy.errors import BundleError
 from deploy.interfaces import PolicyOutput
+from deploy.manifest import Bundle
 
 
 class OnnxRuntime:
@@ -43,9 +45,7 @@ class OnnxRuntime:
         self.reset()
 
     @staticmethod
-    def _compare(
-        what: str, wanted: dict[str, tuple[int, ...]], found: list[ort.NodeArg], exact: bool
-    ) -> None:
+    def _compare(what: str, wanted: dict[str, tuple[int, ...]], found: Sequence[ort.NodeArg], exact: bool) -> None:
         nodes = {node.name: node for node in found}
         odd = wanted.keys() ^ nodes.keys() if exact else wanted.keys() - nodes.keys()
         if odd:
@@ -57,13 +57,11 @@ class OnnxRuntime:
             if node.type != "tensor(float)":
                 raise BundleError(f"{what} {name} is {node.type}, not float32; export the bundle again")
             fits = len(node.shape) == len(shape) and all(
-                not isinstance(have, int) or have == want
-                for have, want in zip(node.shape, shape, strict=True)
+                not isinstance(have, int) or have == want for have, want in zip(node.shape, shape, strict=True)
             )
             if not fits:
                 raise BundleError(
-                    f"{what} {name} has shape {node.shape}, the manifest says {list(shape)}; "
-                    "export the bundle again"
+                    f"{what} {name} has shape {node.shape}, the manifest says {list(shape)}; export the bundle again"
                 )
 
     def reset(self) -> None:

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.bundle import Bundle, load_bundle
+from deploy.bundle import load_bundle
 from deploy.controller import Controller, ControllerConfig, Mode
 from deploy.errors import DeployError
 from deploy.golden import check_golden
 from deploy.interfaces import RobotInterface, Simulated
 from deploy.log import LogWriter, RunInfo
+from deploy.manifest import Bundle
 from deploy.messages import Sample
 from deploy.runtime import OnnxRuntime
 from deploy.schedule import Schedule
@@ -35,8 +36,8 @@ def run(
 ) -> RunSummary:
     """Run a bundle on a robot.
 
-    The golden trace is checked before anything moves. The robot stands up, holds its stance, lets the policy in,
-    and walks for `duration`; then, or as soon as a guard trips, it is damped. Ctrl-C damps it too.
+    The golden trace is checked before anything moves. The robot stands up, holds its stance, lets the policy
+    in, and walks for `duration`; then, or as soon as a guard trips, it is damped. Ctrl-C damps it too.
 
     Args:
         bundle_dir: Folder of the bundle.
@@ -116,8 +117,8 @@ def _check_request(bundle: Bundle, command: tuple[float, float, float], duration
     for name, value, low, high in zip(trained.names, command, trained.low, trained.high, strict=True):
         if not low - 1e-9 <= value <= high + 1e-9:
             raise DeployError(
-                f"command {name} = {value}: outside of the range [{low}, {high}] that {bundle.name} was trained for; "
-                "choose a value inside"
+                f"command {name} = {value}: outside of the range [{low}, {high}] that {bundle.name} "
+                "was trained for; choose a value inside"
             )
     if not 0 < duration < np.inf:
         raise DeployError(f"duration {duration} s: must be positive and finite")
@@ -137,9 +138,13 @@ def _loop(
     remaining = round(info.duration_s * info.policy_hz)
     fallen_below = FALLEN_SHARE * simulated.truth().height_over_feet if simulated else 0.0
     schedule = Schedule(robot.clock, bundle.period_ns)
+    end = ""
     while True:
         try:
-            tick = controller.tick(schedule.wait(), command)
+            slot = schedule.wait()
+            if end:
+                controller.stop(end)
+            tick = controller.tick(slot, command)
             sample = Sample(
                 tick,
                 truth=simulated.truth() if simulated else None,
@@ -153,9 +158,8 @@ def _loop(
             remaining -= tick.mode is Mode.POLICY
             if sample.truth is not None and sample.truth.height_over_feet < fallen_below:
                 height = sample.truth.height_over_feet
-                controller.stop(f"fell: base {height:.3f} m over its feet, limit {fallen_below:.3f} m")
-            elif remaining <= 0 and tick.mode is Mode.POLICY:
-                robot.clock.sleep_until(tick.slot.due_ns + bundle.period_ns)
-                controller.stop(FINISHED)
+                end = f"fell: base {height:.3f} m over its feet, limit {fallen_below:.3f} m"
+            elif remaining <= 0:
+                end = FINISHED
         except KeyboardInterrupt:
             controller.stop("operator stop: interrupted")

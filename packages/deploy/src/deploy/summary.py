@@ -6,11 +6,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deploy.energy import cost_of_transport, eq10, joules, positive_power
 from deploy.interfaces import Array
 from deploy.log import RunInfo
 from deploy.trace import Trace
+
+Index = NDArray[np.intp]
 
 SETTLE_S = 2.0
 """Tracking errors count from this time of full control on, s."""
@@ -141,7 +144,7 @@ def summarise(info: RunInfo, trace: Trace) -> RunSummary:
     )
 
 
-def _difference(values: Array, closed: Array) -> float | None:
+def _difference(values: Array, closed: Index) -> float | None:
     """Growth of a running sum over the active time, None where it was not measured."""
     if not len(closed) or not np.isfinite(values[closed]).all():
         return None
@@ -154,7 +157,7 @@ def _heading(quat_wxyz: Array) -> Array:
     return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def _progress(trace: Trace, closed: Array, command: Array) -> float | None:
+def _progress(trace: Trace, closed: Index, command: Array) -> float | None:
     """Way along the commanded direction, which turns with the robot."""
     speed = np.linalg.norm(command[:2])
     if speed == 0 or not len(closed) or not np.isfinite(trace.position[closed]).all():
@@ -164,15 +167,13 @@ def _progress(trace: Trace, closed: Array, command: Array) -> float | None:
     return float((steps[:, 0] * np.cos(direction) + steps[:, 1] * np.sin(direction)).sum())
 
 
-def _displacement(trace: Trace, closed: Array) -> float | None:
+def _displacement(trace: Trace, closed: Index) -> float | None:
     if not len(closed) or not np.isfinite(trace.position[closed]).all():
         return None
     return float(np.linalg.norm(trace.position[closed[-1], :2] - trace.position[closed[0], :2]))
 
 
-def _tracking(
-    info: RunInfo, trace: Trace, active: Array, command: Array
-) -> tuple[float | None, float | None]:
+def _tracking(info: RunInfo, trace: Trace, active: Index, command: Array) -> tuple[float | None, float | None]:
     """Mean errors of speed along the command and of yaw rate, a fall counting the whole command."""
     asked = round(info.duration_s * info.policy_hz)
     settle = round(SETTLE_S * info.policy_hz)

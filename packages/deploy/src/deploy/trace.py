@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
+from mcap.records import Metadata
+from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
@@ -85,9 +86,7 @@ class TraceRecorder:
                 "peak_w": np.nan if energy is None else energy.peak_pos_w,
                 "position": np.full(3, np.nan) if truth is None else truth.position,
                 "quat_wxyz": np.full(4, np.nan) if truth is None else truth.quat_wxyz,
-                "velocity": np.full(3, np.nan)
-                if truth is None
-                else rotate_inverse(truth.quat_wxyz, truth.velocity),
+                "velocity": np.full(3, np.nan) if truth is None else rotate_inverse(truth.quat_wxyz, truth.velocity),
                 "yaw_rate": np.nan if truth is None else truth.angular_velocity[2],
             }
         )
@@ -119,7 +118,11 @@ def read_log(path: str | Path) -> tuple[RunInfo, Trace]:
         raise LogError(f"{path}: no such log; give the .mcap that `deploy run` wrote")
     try:
         with path.open("rb") as stream:
-            records = {m.name: m.metadata for m in make_reader(stream, validate_crcs=True).iter_metadata()}
+            records = {
+                record.name: record.metadata
+                for record in StreamReader(stream, validate_crcs=True).records
+                if isinstance(record, Metadata)
+            }
         with AnyReader([path]) as reader:
             connections = [c for c in reader.connections if c.topic in READ_TOPICS]
             messages = [
