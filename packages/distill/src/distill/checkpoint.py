@@ -48,9 +48,7 @@ def load(path: Path) -> dict[str, object]:
         ) from error
     if not isinstance(payload, dict) or payload.get("format") != FORMAT:
         found = payload.get("format") if isinstance(payload, dict) else type(payload).__name__
-        raise CheckpointError(
-            f"{path}: checkpoint format {found}; this version of distill reads format {FORMAT}"
-        )
+        raise CheckpointError(f"{path}: checkpoint format {found}; this version of distill reads format {FORMAT}")
     return payload
 
 

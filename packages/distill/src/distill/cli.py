@@ -15,7 +15,7 @@ from rich.table import Table
 from distill.errors import DistillError
 from distill.evaluate import Score, evaluate
 from distill.policy import StudentPolicy
-from distill.providers import find_env, find_teacher
+from distill.providers import load_teacher, make_env
 from distill.student import StudentConfig
 from distill.train import TrainConfig, train
 from distill.verify import verify_bundle
@@ -46,8 +46,8 @@ class Train:
 
     def run(self, console: Console) -> None:
         """Train, then compare student and teacher on the same fresh episodes."""
-        loader, factory = find_teacher(self.teacher_kind), find_env(self.env)
-        teacher, env = loader(self.teacher), factory(**parse_options(self.option))
+        env = make_env(self.env, parse_options(self.option))
+        teacher = load_teacher(self.teacher, self.teacher_kind)
         student = train(env, teacher, self.out, self.train, self.student, resume=self.resume)
         console.print(f"student: {self.out / 'student.pt'}")
         if self.eval_steps:
@@ -95,9 +95,7 @@ def _comparison(scores: dict[str, Score]) -> Table:
     table = Table("policy", "return", "survival", "velocity estimate error (m/s)")
     for name, score in scores.items():
         error = "" if score.velocity_error is None else f"{score.velocity_error:.3f}"
-        table.add_row(
-            name, f"{score.returns.mean():.3f}", f"{100 * score.survived.float().mean():.1f} %", error
-        )
+        table.add_row(name, f"{score.returns.mean():.3f}", f"{100 * score.survived.float().mean():.1f} %", error)
     return table
 
 
@@ -108,7 +106,7 @@ def main() -> None:
     )
     try:
         command.run(Console())
-    except DistillError as error:
+    except (DistillError, OSError) as error:
         print(f"distill: {error}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:

@@ -7,6 +7,7 @@ import logging
 import os
 import shutil
 import tempfile
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -85,28 +86,30 @@ def _fill(folder: Path, student: Student, spec: BundleSpec, states: RawStates | 
     check_parity(folder, student, spec)
     eager = TorchRuntime(student, [(1, history, student.proprio)])
     trace = record(spec, states or plausible_states(spec), eager)
-    np.savez_compressed(folder / GOLDEN, **trace)
+    np.savez_compressed(folder / GOLDEN, allow_pickle=False, **trace)
     write_manifest(build_manifest(spec, history, len(trace["obs"]), folder), folder / MANIFEST)
 
 
 def save_onnx(student: Student, example: tuple[Tensor, ...], path: Path) -> None:
     """Write the student as one ONNX file, weights inside."""
-    # The exporter reports every optional package that it does without.
+    # The exporter reports every optional package that it does without, and its own use of old names.
     log = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = log.level
     log.setLevel(logging.ERROR)
     try:
-        torch.onnx.export(
-            student,
-            example,
-            path,
-            dynamo=True,
-            external_data=False,
-            opset_version=OPSET,
-            input_names=["obs", "history_in"],
-            output_names=["action", "velocity", "history_out"],
-            verbose=False,
-        )
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", category=FutureWarning)
+            torch.onnx.export(
+                student,
+                example,
+                path,
+                dynamo=True,
+                external_data=False,
+                opset_version=OPSET,
+                input_names=["obs", "history_in"],
+                output_names=["action", "velocity", "history_out"],
+                verbose=False,
+            )
     finally:
         log.setLevel(level)
 

@@ -50,7 +50,7 @@ class StudentEnv(Protocol):
         """Restart all robots; the same seed gives the same episodes under the same actions."""
         ...
 
-    def step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, Mapping[str, object]]:
+    def step(self, action: Tensor) -> tuple[Observation, Tensor, Tensor, Tensor, object]:
         """Advance one control step.
 
         Args:
@@ -61,7 +61,7 @@ class StudentEnv(Protocol):
             reward: (N,).
             terminated: (N,) bool, the robot failed.
             truncated: (N,) bool, the episode ran out of time.
-            info: anything else.
+            info: anything else; not read.
         """
         ...
 

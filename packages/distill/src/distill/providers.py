@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import TypeAlias, cast
+from typing import cast
 
 from distill.errors import ProviderError
 from distill.interfaces import StudentEnv, Teacher
 
 ENVS, TEACHERS = "legged.envs", "legged.teachers"
 
-EnvFactory: TypeAlias = Callable[..., StudentEnv]
-"""Called with the keyword options of the command line."""
-TeacherLoader: TypeAlias = Callable[[Path], Teacher]
-"""Called with the path of a checkpoint."""
 
-
-def find_env(name: str) -> EnvFactory:
-    """The environment factory `name` of group `legged.envs`.
+def make_env(name: str, options: Mapping[str, object]) -> StudentEnv:
+    """Make the environment `name` of group `legged.envs` with its provider's options.
 
     Raises:
-        ProviderError: no installed package provides it.
+        ProviderError: no installed package provides it, or it refuses the options.
     """
-    return cast(EnvFactory, _load(_find(ENVS, name)))
+    factory = cast(Callable[..., StudentEnv], _load(_find(ENVS, name)))
+    with _provider_errors(f"environment '{name}'"):
+        return factory(**options)
 
 
-def find_teacher(name: str | None = None) -> TeacherLoader:
-    """The teacher loader `name` of group `legged.teachers`; None: the only one there is.
+def load_teacher(path: Path, name: str | None = None) -> Teacher:
+    """Load a teacher with the loader `name` of group `legged.teachers`; None: the only one there is.
 
     Raises:
-        ProviderError: no installed package provides it, or there are several to choose from.
+        ProviderError: no installed package provides it, there are several to choose from, or it
+            cannot read the file.
     """
-    return cast(TeacherLoader, _load(_find(TEACHERS, name)))
+    loader = cast(Callable[[Path], Teacher], _load(_find(TEACHERS, name)))
+    with _provider_errors(f"teacher {path}"):
+        return loader(path)
+
+
+@contextmanager
+def _provider_errors(what: str) -> Iterator[None]:
+    """Turn a provider's refusal of its input into an error of one line."""
+    try:
+        yield
+    except (LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+        raise ProviderError(f"{what}: {error}") from error
 
 
 def _find(group: str, name: str | None) -> EntryPoint:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from distill.errors import InterfaceError
+
 
 class RolloutRing:
     """A ring of the last `capacity` control steps of N robots.
@@ -28,9 +30,7 @@ class RolloutRing:
         self._capacity, self._num_envs = capacity, num_envs
         # The oldest sample needs H - 1 frames before it.
         self._size = capacity + history - 1
-        self._fields = {
-            name: torch.zeros(self._size, num_envs, dim, device=device) for name, dim in dims.items()
-        }
+        self._fields = {name: torch.zeros(self._size, num_envs, dim, device=device) for name, dim in dims.items()}
         self._age = torch.zeros(self._size, num_envs, dtype=torch.int64, device=device)
         self._back = torch.arange(history - 1, -1, -1, device=device)
         self._written = 0
@@ -45,9 +45,16 @@ class RolloutRing:
         Args:
             fields: every field, (N, dim).
             age: (N,) int64, control steps since the episode began (0 for its first frame).
+
+        Raises:
+            InterfaceError: a field has another shape.
         """
         row = self._written % self._size
         for name, store in self._fields.items():
+            if fields[name].shape != store.shape[1:]:
+                raise InterfaceError(
+                    f"'{name}' has shape {tuple(fields[name].shape)}, expected {tuple(store.shape[1:])}"
+                )
             store[row] = fields[name]
         self._age[row] = age
         self._written += 1

@@ -133,9 +133,7 @@ class BundleSpec:
         for term in self.observation:
             if term.source not in SOURCE_SIZES:
                 known = ", ".join(SOURCE_SIZES)
-                raise BundleError(
-                    f"observation term '{term.name}': source '{term.source}' is none of {known}"
-                )
+                raise BundleError(f"observation term '{term.name}': source '{term.source}' is none of {known}")
             if isinstance(term.scale, Sequence) and len(term.scale) != term.size:
                 raise BundleError(
                     f"observation term '{term.name}' has {len(term.scale)} scales for {term.size} elements"

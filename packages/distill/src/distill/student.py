@@ -123,9 +123,7 @@ def mlp(inputs: int, hidden: tuple[int, ...], outputs: int) -> nn.Sequential:
     return nn.Sequential(*layers, nn.Linear(inputs, outputs))
 
 
-def build_student(
-    proprio: int, teacher: Teacher, config: StudentConfig, device: torch.device | str = "cpu"
-) -> Student:
+def build_student(proprio: int, teacher: Teacher, config: StudentConfig, device: torch.device | str = "cpu") -> Student:
     """Make a student for a teacher; its backbone starts as a copy of the teacher's actor, if there is one.
 
     Args:

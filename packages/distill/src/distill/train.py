@@ -133,9 +133,7 @@ class Distiller:
         iteration: iterations done.
     """
 
-    def __init__(
-        self, env: StudentEnv, teacher: Teacher, config: TrainConfig, student: StudentConfig
-    ) -> None:
+    def __init__(self, env: StudentEnv, teacher: Teacher, config: TrainConfig, student: StudentConfig) -> None:
         proprio = env.group_dims["proprio"]
         self.config, self.iteration = config, 0
         self.student = build_student(proprio, teacher, student, env.device)

@@ -55,8 +55,7 @@ def verify_bundle(folder: Path) -> Verification:
         errors[name] = float(np.abs(replay(runtime, obs.astype(np.float32), reset).action - action).max())
         if not errors[name] <= tolerance:
             raise BundleError(
-                f"{folder / name}: differs from the golden trace by {errors[name]:.2e} "
-                f"(allowed {tolerance:.0e})"
+                f"{folder / name}: differs from the golden trace by {errors[name]:.2e} (allowed {tolerance:.0e})"
             )
     return Verification(len(manifest["files"]), len(obs), errors)
 
@@ -64,7 +63,7 @@ def verify_bundle(folder: Path) -> Verification:
 def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
     robot, policy = manifest["robot"], manifest["policy"]
     named = [robot["urdf"], robot["mjcf"], robot["scene"], policy["file"], manifest["golden"]["file"]]
-    if unlisted := set([*named, policy.get("torchscript", policy["file"])]) - set(manifest["files"]):
+    if unlisted := {*named, policy.get("torchscript", policy["file"])} - set(manifest["files"]):
         raise BundleError(f"{folder / MANIFEST}: gives no hash for {', '.join(sorted(unlisted))}")
     for name, expected in manifest["files"].items():
         path = folder / name
