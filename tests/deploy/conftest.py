@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+from deploy.interfaces import RobotSpec, RobotState
 from onnx import TensorProto, helper, numpy_helper
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -249,3 +250,98 @@ def folder(tmp_path):
 def bundle_dir(tmp_path_factory):
     """An intact bundle on disk, not to be changed."""
     return BundleFolder(tmp_path_factory.mktemp("intact") / "bundle").seal()
+
+
+@pytest.fixture
+def golden():
+    """The reference trace, to be altered."""
+    return reference_golden()
+
+
+@pytest.fixture
+def pack():
+    """Arrays to the bytes of an npz file."""
+    return npz_bytes
+
+
+@pytest.fixture
+def make_scene():
+    """MJCF text of the box quadruped, its actuators in any order."""
+    return scene_xml
+
+
+class FakeClock:
+    """Time that passes only when told, or asked to sleep."""
+
+    def __init__(self) -> None:
+        self.time = 0
+
+    def now_ns(self) -> int:
+        return self.time
+
+    def sleep_until(self, time_ns: int) -> None:
+        self.time = max(self.time, time_ns)
+
+
+class FakeRobot:
+    """Stands still in the stance, in an order of joints of its own; a test spoils its readings.
+
+    `fault(state) -> state` alters what `read` returns; `sent` and `damped` record what came.
+    """
+
+    def __init__(self, names: tuple[str, ...] = JOINTS) -> None:
+        self.spec = RobotSpec("fake", names)
+        self.clock = FakeClock()
+        self.q = np.array([STANCE[name.split("_")[1]] for name in names])
+        self.fault = lambda state: state
+        self.sent = []
+        self.damped = 0
+        self.stopped = 0
+
+    def start(self) -> None:
+        pass
+
+    def stop(self) -> None:
+        self.stopped += 1
+
+    def read(self) -> RobotState:
+        zeros = np.zeros(12)
+        return self.fault(
+            RobotState(
+                stamp_ns=self.clock.time,
+                seq=0,
+                q=self.q.copy(),
+                dq=zeros,
+                tau=zeros,
+                quat_wxyz=np.array([1.0, 0, 0, 0]),
+                gyro=np.zeros(3),
+                acc=np.array([0, 0, 9.81]),
+            )
+        )
+
+    def read_depth(self) -> None:
+        return None
+
+    def write(self, command) -> None:
+        self.sent.append(command)
+
+    def damp(self) -> None:
+        self.damped += 1
+
+
+@pytest.fixture(scope="session")
+def fake_robot():
+    """Makes a fake robot with its joints in the given order."""
+    return FakeRobot
+
+
+@pytest.fixture(scope="session")
+def make_clock():
+    """Makes a fake clock."""
+    return FakeClock
+
+
+@pytest.fixture
+def fake_clock():
+    """A fake clock at 0."""
+    return FakeClock()

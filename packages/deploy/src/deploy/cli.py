@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 
 from deploy.bundle import load_bundle
 from deploy.errors import DeployError
@@ -100,7 +100,7 @@ def _check(folder: Path) -> None:
     bundle = load_bundle(folder)
     result = check_golden(bundle, OnnxRuntime(bundle))
     design = ", ".join(f"{name} {value:g}" for name, value in bundle.robot.design.items())
-    table = Table("", "", title=f"{bundle.name}: intact", show_header=False)
+    table = Table("", Column(overflow="fold"), title=f"{bundle.name}: intact", show_header=False)
     table.add_row("robot", f"{bundle.robot.name}, {bundle.robot.total_mass:.2f} kg ({design})")
     table.add_row("policy", f"{bundle.observation_size} inputs, {len(bundle.policy.state)} recurrent states")
     table.add_row("rate", f"{bundle.policy_hz:g} Hz, physics step {bundle.physics_dt * 1e3:g} ms")
@@ -117,7 +117,7 @@ def _print(summary: RunSummary, as_json: bool) -> None:
     if as_json:
         print(json.dumps(summary.to_dict(), indent=2, allow_nan=False))
         return
-    table = Table("quantity", "value", title=f"{summary.bundle} on {summary.robot}")
+    table = Table("quantity", Column("value", overflow="fold"), title=f"{summary.bundle} on {summary.robot}")
     for name, value in summary.to_dict().items():
         if name in ("bundle", "robot"):
             continue
