@@ -278,8 +278,11 @@ class LeggedEnv:
     def _fallen(self, now: _Kinematics) -> Tensor:
         tilted = -now.gravity[:, 2] < float(np.cos(self.task.max_tilt))
         sunk = self.sim.qpos[:, 2] < self.task.min_height * self.stance_qpos[:, 2]
-        # written so that NaN counts as fallen
-        return ~(~tilted & ~sunk & now.gravity[:, 2].isfinite())
+        fallen = tilted | sunk | ~now.gravity[:, 2].isfinite()
+        if self.task.end_on_base_contact:
+            # the sensors show the start of the last physics step, before any reset
+            fallen |= (self.sim.sensors[:, self._links[0]] > 0) & (self.episode_step > 1)
+        return fallen
 
     def _push(self) -> None:
         random = self.task.randomisation

@@ -53,6 +53,7 @@ class Evaluation:
         designs: (B, d).
         config: the protocol.
         command: commanded speed, m/s.
+        weight: of the robot, N.
         survived: no fall and no failed simulation until the end, bool.
         returns: undiscounted sum of rewards until the end or the fall (eq. 9).
         tracking_error: mean |v_x - command| after `settle`, m/s; a fallen robot counts its whole command.
@@ -65,6 +66,7 @@ class Evaluation:
     designs: Array
     config: EvalConfig
     command: Array
+    weight: Array
     survived: NDArray[np.bool_]
     returns: Array
     tracking_error: Array
@@ -146,6 +148,7 @@ def evaluate(
         designs=designs,
         config=config,
         command=shape(command),
+        weight=shape(weight),
         survived=alive.numpy().reshape(bodies, robots),
         returns=shape(returns),
         tracking_error=shape(error / (steps - settle)),

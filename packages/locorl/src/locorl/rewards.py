@@ -67,8 +67,8 @@ class RewardConfig:
     joint_position: float = -0.04
     torque_rate: float = -1e-7
     torque: float = -1e-5
-    air_time: float = 1.0
-    specific_power: float = -0.5
+    air_time: float = 5.0
+    specific_power: float = 0.0
     """Weight of positive mechanical power over body weight (m/s): cost of transport times speed. Ours."""
     kernel: Literal["gaussian", "l1"] = "gaussian"
     """exp(-|e|^2/s) with s below, or the paper's exp(-|e|_1)."""
@@ -95,9 +95,9 @@ def table_i() -> RewardConfig:
         vertical_velocity=-2.0,
         roll_pitch_rate=-0.05,
         kernel="l1",
+        air_time=1.0,
         air_time_offset=0.5,
         air_time_cap=float("inf"),
-        specific_power=0.0,
         clip_at_zero=False,
     )
 

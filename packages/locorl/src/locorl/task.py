@@ -62,8 +62,10 @@ class TaskConfig:
     """Actions are clipped to +- this."""
     max_tilt: float = 1.0471975511965976
     """An episode ends when the base tilts further than this, rad (60 degrees)."""
-    min_height: float = 0.4
-    """... or sinks below this fraction of its height in the stance."""
+    min_height: float = 0.5
+    """... or sinks below this fraction of its height in the stance ..."""
+    end_on_base_contact: bool = True
+    """... or touches anything, as when a robot lies down rather than walk."""
     command: CommandConfig = field(default_factory=CommandConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
