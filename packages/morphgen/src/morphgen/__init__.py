@@ -2,9 +2,12 @@
 
 from morphgen.batch import BodyBatch
 from morphgen.design import SCALE_NAMES, DesignSpace
+from morphgen.dimensions import dimensions
+from morphgen.drawing import draw_bodies
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
 from morphgen.layout import Layout
+from morphgen.mjcf import to_mjcf
 from morphgen.model import Drive, flat_scene
 from morphgen.robots import go2, load_robot
 from morphgen.skeleton import Skeleton
@@ -21,8 +24,11 @@ __all__ = [
     "MorphologyError",
     "Skeleton",
     "Stance",
+    "dimensions",
+    "draw_bodies",
     "flat_scene",
     "go2",
     "load_robot",
     "scale_urdf",
+    "to_mjcf",
 ]

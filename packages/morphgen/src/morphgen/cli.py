@@ -14,9 +14,9 @@ from morphgen.dimensions import dimensions
 from morphgen.drawing import draw_bodies
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
+from morphgen.files import replacing, write_text
 from morphgen.mjcf import to_mjcf
 from morphgen.robots import load_robot
-from morphgen.urdf import write_text
 
 Scales = tuple[float, float, float, float]
 
@@ -69,7 +69,8 @@ class Render:
         factory = _load(self.robot, self.urdf)
         labels = self.labels or tuple("scales " + ", ".join(f"{s:g}" for s in body) for body in self.scales)
         figure = draw_bodies(factory, np.array(self.scales), labels)
-        figure.savefig(self.output)
+        with replacing(self.output) as temporary:
+            figure.savefig(temporary)
 
 
 def _load(robot: str, urdf: Path | None) -> BodyFactory:

@@ -123,9 +123,7 @@ def build_urdf(robot: QuadrupedDescription) -> str:
             ),
             _joint(robot, f"{leg}_thigh", f"{leg}_hip", (0, robot.hip_offset * y, 0), (0, 1, 0), thigh_limit),
             _segment(f"{leg}_thigh", robot.thigh),
-            _joint(
-                robot, f"{leg}_calf", f"{leg}_thigh", (0, 0, -robot.thigh.length), (0, 1, 0), robot.calf_limit
-            ),
+            _joint(robot, f"{leg}_calf", f"{leg}_thigh", (0, 0, -robot.thigh.length), (0, 1, 0), robot.calf_limit),
             _segment(f"{leg}_calf", robot.shank),
             f'  <joint name="{leg}_foot_joint" type="fixed">\n'
             f'    <origin xyz="{format_vector((0, 0, -robot.shank.length))}"/>\n'
@@ -156,9 +154,7 @@ def _segment(name: str, segment: Segment) -> str:
 
 def _link(name: str, inertial: Inertial, shape: str, origin: str = 'xyz="0 0 0"') -> str:
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    inertia = " ".join(
-        f'{key}="{float(value)!r}"' for key, value in zip(names, inertial.inertia, strict=True)
-    )
+    inertia = " ".join(f'{key}="{float(value)!r}"' for key, value in zip(names, inertial.inertia, strict=True))
     lines = [
         f'  <link name="{name}">',
         "    <inertial>",

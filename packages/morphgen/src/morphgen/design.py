@@ -33,9 +33,7 @@ class DesignSpace:
         for field in ("low", "high", "nominal"):
             values = np.array(getattr(self, field), dtype=np.float64)
             if values.shape != (len(self.names),):
-                raise MorphologyError(
-                    f"design space: {field} needs {len(self.names)} values, got {values.shape}"
-                )
+                raise MorphologyError(f"design space: {field} needs {len(self.names)} values, got {values.shape}")
             values.flags.writeable = False
             object.__setattr__(self, field, values)
         if not (np.all(self.low <= self.nominal) and np.all(self.nominal <= self.high)):

@@ -79,9 +79,7 @@ def _draw_body(ax: Axes, factory: BodyFactory, design: Array, title: str) -> Non
             _dimension(ax, start, end, (0.055, -0.045)[part], text)
     hip, hind = joint[1, 1], joint[3, 1]
     top = z + 0.13
-    _dimension(
-        ax, np.array([hind[0], top]), np.array([hip[0], top]), 0.0, f"{(hip[0] - hind[0]) * _MM:.0f} mm"
-    )
+    _dimension(ax, np.array([hind[0], top]), np.array([hip[0], top]), 0.0, f"{(hip[0] - hind[0]) * _MM:.0f} mm")
     side = max(hip[0], joint[1, 3, 0]) + 0.12
     height = f"{stance.hip_height[0] * _MM:.0f} mm"
     _dimension(ax, np.array([side, hip[1]]), np.array([side, 0.0]), 0.0, height, label_right=True)
@@ -139,9 +137,9 @@ def _convex_hull(points: Array) -> Array:
     def chain(ordered: list[tuple[float, float]]) -> list[tuple[float, float]]:
         hull: list[tuple[float, float]] = []
         for x, y in ordered:
-            while len(hull) > 1 and (hull[-1][0] - hull[-2][0]) * (y - hull[-2][1]) <= (
-                hull[-1][1] - hull[-2][1]
-            ) * (x - hull[-2][0]):
+            while len(hull) > 1 and (hull[-1][0] - hull[-2][0]) * (y - hull[-2][1]) <= (hull[-1][1] - hull[-2][1]) * (
+                x - hull[-2][0]
+            ):
                 hull.pop()
             hull.append((x, y))
         return hull[:-1]
@@ -150,9 +148,7 @@ def _convex_hull(points: Array) -> Array:
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
-def _dimension(
-    ax: Axes, start: Array, end: Array, offset: float, text: str, *, label_right: bool = False
-) -> None:
+def _dimension(ax: Axes, start: Array, end: Array, offset: float, text: str, *, label_right: bool = False) -> None:
     """An arrow between two points, moved aside by an offset (to the right of start -> end), with its text."""
     along = (end - start) / np.linalg.norm(end - start)
     aside = np.array([along[1], -along[0]])

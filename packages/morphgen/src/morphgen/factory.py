@@ -104,7 +104,5 @@ class BodyFactory:
     def _one(self, design: ArrayLike) -> Array:
         checked = self.space.validated(design)
         if len(checked) != 1:
-            raise MorphologyError(
-                f"expected one design of {self.space.dim} values, got {len(checked)} designs"
-            )
+            raise MorphologyError(f"expected one design of {self.space.dim} values, got {len(checked)} designs")
         return checked[0]

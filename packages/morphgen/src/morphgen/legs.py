@@ -72,9 +72,7 @@ def find_legs(root: Element) -> LegMap:
         while len(following := actuated(child_of[chain[-1]])) == 1:
             chain += following
         if len(chain) != 3 or following:
-            raise MorphologyError(
-                f"a leg has 3 actuated joints in a row; the chain at '{hip}' is {', '.join(chain)}"
-            )
+            raise MorphologyError(f"a leg has 3 actuated joints in a row; the chain at '{hip}' is {', '.join(chain)}")
         chains.append(chain)
     if len(chains) != 4:
         raise MorphologyError(f"expected 4 legs on link '{roots[0]}', found {len(chains)}")
@@ -91,9 +89,7 @@ def find_legs(root: Element) -> LegMap:
         shank = child_of[knee]
         ankles = [name for name in children[shank] if _is_ball(links[child_of[name]])]
         if len(ankles) != 1:
-            raise MorphologyError(
-                f"link '{shank}' needs one fixed child with a sphere as collision, its foot"
-            )
+            raise MorphologyError(f"link '{shank}' needs one fixed child with a sphere as collision, its foot")
         legs[side] = Leg(
             *side, (hip, thigh, knee), ankles[0], (child_of[hip], child_of[thigh], shank, child_of[ankles[0]])
         )

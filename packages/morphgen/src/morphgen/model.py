@@ -121,9 +121,7 @@ def _prepare_bodies(robot: mujoco.MjSpec, leg_map: LegMap, layout: Layout, drive
     base.add_site(name="imu", size=[0.01] * 3, group=4)
     for leg in leg_map.legs:
         robot.body(leg.links[3]).add_site(name=leg.links[3], size=[0.01] * 3, group=4)
-    kind_of = {
-        name: kind for leg in leg_map.legs for name, kind in zip(leg.links, list(_COLORS)[1:], strict=True)
-    }
+    kind_of = {name: kind for leg in leg_map.legs for name, kind in zip(leg.links, list(_COLORS)[1:], strict=True)}
     for body in robot.bodies[1:]:
         for index, geom in enumerate(body.geoms):
             geom.name = collision_geom(body.name, index)

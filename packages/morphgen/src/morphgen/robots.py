@@ -20,9 +20,7 @@ GO2 = QuadrupedDescription(
     trunk_size=(0.3762, 0.0935, 0.114),
     hip_position=(0.1934, 0.0465),
     hip_offset=0.0955,
-    hip=Inertial(
-        0.678, (-0.0054, 0.00194, -0.000105), (4.8e-4, -3.01e-6, 1.11e-6, 8.84e-4, -1.42e-6, 5.96e-4)
-    ),
+    hip=Inertial(0.678, (-0.0054, 0.00194, -0.000105), (4.8e-4, -3.01e-6, 1.11e-6, 8.84e-4, -1.42e-6, 5.96e-4)),
     hip_cylinder=Cylinder(radius=0.046, length=0.04, outward=0.08),
     # lengths are the distances between joints; the square sections are our choice
     thigh=Segment(length=0.213, width=0.029, mass=1.152),

@@ -110,9 +110,7 @@ def _read_leg(leg: Leg, links: dict[str, Element], joints: dict[str, Element]) -
     for name in names[2:]:
         origin = read_vector(joints[name].find("origin"), "xyz", (0, 0, 0), f"joint '{name}'")
         if origin[:2].any() or origin[2] >= 0:
-            raise MorphologyError(
-                f"joint '{name}': Table II needs its origin straight below, at (0, 0, -length)"
-            )
+            raise MorphologyError(f"joint '{name}': Table II needs its origin straight below, at (0, 0, -length)")
     inertials = [_read_inertial(links[name]) for name in leg.links]
     return {
         "joint_origin": np.stack(
@@ -138,9 +136,7 @@ def read_box(link: Element) -> Array:
     _require_straight(collisions[0].find("origin"), f"link '{name}' collision")
     size = read_vector(box, "size", (0, 0, 0), f"link '{name}' collision box")
     if not np.all(size > 0) or size[0] != size[1]:
-        raise MorphologyError(
-            f"link '{name}': its collision box needs a square section (b, b, L), got {size}"
-        )
+        raise MorphologyError(f"link '{name}': its collision box needs a square section (b, b, L), got {size}")
     return size
 
 

@@ -81,9 +81,7 @@ def solve_stance(body: Skeleton) -> Stance:
     Raises:
         MorphologyError: hips do not turn about x, or thighs and knees about y.
     """
-    if not (
-        np.allclose(np.abs(body.axis[:, 0]), (1, 0, 0)) and np.allclose(np.abs(body.axis[:, 1:]), (0, 1, 0))
-    ):
+    if not (np.allclose(np.abs(body.axis[:, 0]), (1, 0, 0)) and np.allclose(np.abs(body.axis[:, 1:]), (0, 1, 0))):
         raise MorphologyError("the stance needs hip joints about x, and thigh and knee joints about y")
     thigh, shank = body.segment_length[..., 0], body.segment_length[..., 1]
     zero = forward_kinematics(body, np.zeros((body.n, 4, 3)))

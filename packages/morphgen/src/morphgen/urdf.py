@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-import tempfile
 from collections.abc import Iterable
-from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -23,7 +20,6 @@ __all__ = [
     "parse_xml",
     "read_vector",
     "to_text",
-    "write_text",
 ]
 
 
@@ -37,7 +33,7 @@ def parse_xml(text: str, source: str) -> Element:
     Raises:
         MorphologyError: not well-formed, or has a DOCTYPE.
     """
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False)
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, encoding="utf-8")
     try:
         root = etree.fromstring(text.encode(), parser)
     except etree.XMLSyntaxError as error:
@@ -64,18 +60,6 @@ def to_text(root: Element) -> str:
     return '<?xml version="1.0" encoding="utf-8"?>\n' + etree.tostring(root, encoding="unicode") + "\n"
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a file atomically: a reader sees the old text or the new one, never a part."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-
-
 def named(root: Element, tag: str) -> dict[str, Element]:
     """The direct children of a robot with this tag (link or joint), by name."""
     found: dict[str, Element] = {}
@@ -89,9 +73,7 @@ def named(root: Element, tag: str) -> dict[str, Element]:
     return found
 
 
-def read_vector(
-    element: Element | None, attribute: str, default: Iterable[float], where: str
-) -> NDArray[np.float64]:
+def read_vector(element: Element | None, attribute: str, default: Iterable[float], where: str) -> NDArray[np.float64]:
     """Read whitespace-separated finite numbers; the default's length is the expected one.
 
     Args:

@@ -1,0 +1,116 @@
+"""Finding legs, and what happens to files that are not a quadruped with box legs."""
+
+import numpy as np
+import pytest
+from lxml import etree
+from morphgen import BodyFactory, MorphologyError
+from morphgen.legs import find_legs
+from morphgen.urdf import parse_urdf
+
+
+def test_legs_are_found_by_topology_whatever_their_names_and_order(go2_tree, as_text):
+    text = as_text(go2_tree)
+    for leg, alias in {"FL": "a", "FR": "b", "RL": "c", "RR": "d"}.items():
+        text = text.replace(f'"{leg}_', f'"{alias}_')
+    root = etree.fromstring(text)
+    root[:] = sorted(root, key=lambda element: element.get("name"), reverse=True)
+    found = find_legs(root)
+    assert [leg.joints[1] for leg in found.legs] == [f"{alias}_thigh_joint" for alias in "abcd"]
+    assert [(leg.front, leg.left) for leg in found.legs] == [(1, 1), (1, 0), (0, 1), (0, 0)]
+
+
+def set_attribute(path, **attributes):
+    def edit(root):
+        for key, value in attributes.items():
+            root.find(path).set(key, value)
+
+    return edit
+
+
+def remove(path):
+    def edit(root):
+        element = root.find(path)
+        element.getparent().remove(element)
+
+    return edit
+
+
+def fifth_leg(root):
+    for element in list(root):
+        if element.get("name").startswith("FL_"):
+            text = etree.tostring(element, encoding="unicode").replace("FL_", "XX_")
+            root.append(etree.fromstring(text))
+    root.find("joint[@name='XX_hip_joint']/origin").set("xyz", "0.5 0.2 0")
+
+
+def wheel(root):
+    root.find("joint[@name='RR_foot_joint']").set("type", "continuous")
+
+
+def second_root(root):
+    etree.SubElement(root, "link", name="lonely")
+
+
+FAULTS = {
+    "five legs": (fifth_leg, "expected 4 legs.*found 5"),
+    "wheel for a foot": (wheel, "3 actuated joints in a row.*RR_hip_joint"),
+    "two-joint leg": (set_attribute("joint[@name='FR_calf_joint']", type="fixed"), "3 actuated.*FR_hip_joint"),
+    "same quarter": (set_attribute("joint[@name='FR_hip_joint']/origin", xyz="0.2 0.1 0"), "same quarter"),
+    "two roots": (second_root, "one root link, found base, lonely"),
+    "missing link": (remove("link[@name='RL_thigh']"), "RL_.*_joint.*'RL_thigh' does not exist"),
+    "slider": (set_attribute("joint[@name='RL_calf_joint']", type="prismatic"), "'prismatic' is not supported"),
+    "no ball foot": (remove("link[@name='RL_foot']/collision"), "'RL_calf' needs one fixed child with a sphere"),
+    "no limit": (remove("joint[@name='RL_calf_joint']/limit"), "'RL_calf_joint': needs a <limit>"),
+    "no inertial": (remove("link[@name='RL_calf']/inertial"), "'RL_calf': has no <inertial>"),
+    "zero mass": (set_attribute("link[@name='base']/inertial/mass", value="0"), "'base': mass 0 .* rigid body"),
+    "impossible inertia": (
+        set_attribute("link[@name='FL_hip']/inertial/inertia", izz="0.1"),
+        "'FL_hip'.*not that of a rigid body",
+    ),
+    "no box": (remove("link[@name='FR_thigh']/collision"), "'FR_thigh'.*exactly one collision, a box"),
+    "flat box": (set_attribute("link[@name='FR_thigh']/collision/geometry/box", size="1 2 3"), "square section"),
+    "not numbers": (set_attribute("link[@name='FR_thigh']/inertial/mass", value="heavy"), "'heavy' is not"),
+    "nan": (set_attribute("link[@name='FR_thigh']/inertial/mass", value="nan"), "finite numbers"),
+    "tilted joint": (set_attribute("joint[@name='FR_calf_joint']/origin", rpy="0 0.1 0"), "rotated origin"),
+    "knee aside": (set_attribute("joint[@name='FR_calf_joint']/origin", xyz="0.1 0 -.2"), "straight below"),
+    "no axis": (set_attribute("joint[@name='FR_calf_joint']/axis", xyz="0 0 0"), "axis is zero"),
+}
+
+
+@pytest.mark.parametrize(("edit", "message"), FAULTS.values(), ids=FAULTS.keys())
+def test_an_unsuitable_robot_is_refused_by_file_and_element(go2_tree, as_text, edit, message):
+    edit(go2_tree)
+    with pytest.raises(MorphologyError, match=rf"(?s)^mine\.urdf: .*{message}"):
+        BodyFactory("mine", as_text(go2_tree), source="mine.urdf")
+
+
+def test_thighs_about_a_wrong_axis_have_no_stance(go2_tree, as_text):
+    set_attribute("joint[@name='FL_thigh_joint']/axis", xyz="1 0 0")(go2_tree)
+    with pytest.raises(MorphologyError, match="thigh and knee joints about y"):
+        BodyFactory("mine", as_text(go2_tree)).batch(np.ones((1, 4)))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<robot", "not well-formed"),
+        ("", "not well-formed"),
+        ("<mujoco/>", "expected <robot>"),
+        ('<!DOCTYPE robot SYSTEM "http://127.0.0.1/x.dtd"><robot/>', "DOCTYPE"),
+        ('<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot name="&b;"/>', "DOCTYPE"),
+        ("<robot><link/></robot>", "a <link> has no name"),
+        ('<robot><link name="a"/><link name="a"/></robot>', "'a' appears twice"),
+    ],
+)
+def test_xml_that_is_not_a_plain_robot_is_refused(text, message):
+    with pytest.raises(MorphologyError, match=message):
+        find_legs(parse_urdf(text, "bad.urdf"))
+
+
+def test_an_external_file_is_not_read(tmp_path):
+    secret = tmp_path / "secret.txt"
+    secret.write_text("secret")
+    text = f'<!DOCTYPE r [<!ENTITY s SYSTEM "{secret.as_uri()}">]><robot name="x">&s;</robot>'
+    with pytest.raises(MorphologyError) as error:
+        parse_urdf(text)
+    assert "secret" not in str(error.value)
