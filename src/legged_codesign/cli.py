@@ -1,0 +1,131 @@
+"""The `codesign` command: from a robot and a task to a better body, its controller, and the proof."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.console import Console
+
+from legged_codesign.config import Objective, RunConfig
+from legged_codesign.presets import preset
+
+console = Console()
+
+
+@dataclass(frozen=True)
+class Run:
+    """Do the whole loop; the same command goes on where a killed one stopped."""
+
+    preset: Literal["smoke", "laptop"] = "laptop"
+    """smoke: 3 minutes, proves the plumbing. laptop: at most 15 minutes on 2 cores."""
+    robot: str = "go2"
+    """An installed robot (entry point group legged.bodies)."""
+    objective: Objective = "cost-of-transport"
+    """return: undiscounted reward (eq. 9). energy: positive joint work (eq. 10). cost-of-transport: the same
+    per weight and way; energies count with tracking as a constraint."""
+    bounds: tuple[str, ...] = ()
+    """Search bounds by parameter, such as front_shank=1:1.4 hind_shank=1:1.4."""
+    fix: tuple[str, ...] = ()
+    """Parameters to hold, such as front_thigh=1 hind_thigh=1."""
+    seed: int = 0
+    trials: int | None = None
+    """Bodies to fine-tune in the search; None keeps the preset's number."""
+    from_scratch: bool = False
+    """Pre-train here instead of starting from the shipped generalist (some 20 minutes more)."""
+    folder: Path | None = None
+    """Run folder; by default runs/<preset>-<robot>-<objective>."""
+
+    def config(self) -> RunConfig:
+        """The configuration that these options stand for."""
+        config = preset(self.preset, self.objective)
+        search = config.search if self.trials is None else replace(config.search, trials=self.trials)
+        return replace(
+            config,
+            robot=self.robot,
+            seed=self.seed,
+            bounds=tuple(parse_bounds(text) for text in self.bounds),
+            fixed=tuple(parse_fixed(text) for text in self.fix),
+            from_scratch=self.from_scratch or config.from_scratch,
+            search=search,
+        )
+
+    def run(self) -> None:
+        """Run and say where the results are."""
+        from legged_codesign.pipeline import run
+
+        folder = self.folder or Path("runs") / f"{self.preset}-{self.robot}-{self.objective}"
+        started = time.monotonic()
+        files = run(self.config(), folder, console)
+        console.print(f"\nfinished in {(time.monotonic() - started) / 60:.1f} min", highlight=False)
+        for what, path in (
+            ("report", files.report),
+            ("bundle", files.bundle),
+            ("log", files.log),
+            ("best URDF", files.folder / "best.urdf"),
+        ):
+            console.print(f"  {what:<10} {path}", highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class Report:
+    """Write the report of a run folder again, from what is on disk."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+
+    def run(self) -> None:
+        """Write it."""
+        from locorl.providers import find_factory
+
+        from legged_codesign.pipeline import read_config
+        from legged_codesign.report.render import write_report
+
+        config = read_config(self.folder)
+        console.print(str(write_report(self.folder, config, find_factory(config.robot))), soft_wrap=True)
+
+
+def parse_bounds(text: str) -> tuple[str, float, float]:
+    """`front_shank=1:1.4` as name, low, high.
+
+    Raises:
+        ValueError: with the right form.
+    """
+    name, _, values = text.partition("=")
+    low, _, high = values.partition(":")
+    try:
+        return name, float(low), float(high)
+    except ValueError:
+        raise ValueError(f"--bounds {text}: write it as name=low:high, such as front_shank=1:1.4") from None
+
+
+def parse_fixed(text: str) -> tuple[str, float]:
+    """`front_thigh=1` as name, value.
+
+    Raises:
+        ValueError: with the right form.
+    """
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise ValueError(f"--fix {text}: write it as name=value, such as front_thigh=1") from None
+
+
+def main() -> None:
+    """Entry point of the `codesign` command."""
+    command = tyro.cli(Run | Report, prog="codesign", description=__doc__)
+    try:
+        command.run()
+    except KeyboardInterrupt:
+        console.print("\nstopped; the same command goes on from here")
+        sys.exit(130)
+    except (OSError, RuntimeError, ValueError, LookupError) as error:
+        if os.environ.get("CODESIGN_TRACEBACK"):
+            raise
+        console.print(f"[red]error:[/red] {error}", highlight=False, soft_wrap=True)
+        sys.exit(1)

@@ -1,0 +1,23 @@
+"""Policies that ship with the project, one folder each: policy, provenance, evaluation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+_HERE = Path(__file__).parent
+
+
+def shipped_policy(robot: str, task: str = "flat") -> Path:
+    """Path of the generalist shipped for a robot and a task.
+
+    Raises:
+        FileNotFoundError: there is none; pre-train with `--from-scratch`.
+    """
+    path = _HERE / f"{robot}-{task}" / "policy.pt"
+    if not path.is_file():
+        known = ", ".join(sorted(p.parent.name for p in _HERE.glob("*/policy.pt"))) or "none"
+        raise FileNotFoundError(
+            f"no generalist ships for robot '{robot}' and task '{task}' (there is: {known}); "
+            "train one with codesign run --from-scratch"
+        )
+    return path

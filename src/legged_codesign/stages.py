@@ -1,0 +1,116 @@
+"""Stages of a run: each is skipped when its inputs have not changed, and redone when they have."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+
+class RunError(RuntimeError):
+    """A run cannot start or go on; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of a run.
+
+    Attributes:
+        name: of the stage.
+        settings: the part of the configuration that it depends on, as JSON data.
+        inputs: files that it reads.
+        outputs: files that it leaves behind, each written atomically.
+        work: does it; may be interrupted anywhere and goes on from what it left on disk.
+    """
+
+    name: str
+    settings: Mapping[str, Any]
+    inputs: Sequence[Path]
+    outputs: Sequence[Path]
+    work: Callable[[], None]
+
+
+def run_stages(folder: Path, stages: Sequence[Stage], console: Console) -> None:
+    """Do the stages in order, skipping those whose fingerprint on record is the present one."""
+    for number, stage in enumerate(stages, start=1):
+        title = f"[bold]{number}/{len(stages)} {stage.name}[/bold]"
+        marker = folder / "stages" / f"{stage.name}.json"
+        mark = _fingerprint(stage)
+        if all(output.exists() for output in stage.outputs) and _read_mark(marker) == mark:
+            console.print(f"{title} unchanged, skipped")
+            continue
+        console.print(title)
+        started = time.monotonic()
+        stage.work()
+        seconds = time.monotonic() - started
+        missing = [str(output) for output in stage.outputs if not output.exists()]
+        if missing:
+            raise RunError(f"stage '{stage.name}' did not write {', '.join(missing)}")
+        write_text(marker, json.dumps({"fingerprint": mark}) + "\n")
+        with (folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"stage": stage.name, "seconds": round(seconds, 1)}) + "\n")
+        console.print(f"  done in {seconds:.0f} s", highlight=False)
+
+
+def _fingerprint(stage: Stage) -> str:
+    digest = hashlib.sha256(json.dumps([stage.name, stage.settings], sort_keys=True).encode())
+    for path in stage.inputs:
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _read_mark(path: Path) -> str | None:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))["fingerprint"]
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file so that it is either complete or absent."""
+    write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file so that it is either complete or absent."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Hold a run folder for this process alone; the lock goes with the process, even a killed one.
+
+    Raises:
+        RunError: the folder cannot be written to, or another run holds it.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / ".lock").open("w")
+    except OSError as error:
+        raise RunError(f"cannot write to the run folder {folder}: {error}; choose another with --folder") from error
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise RunError(f"another run is using {folder}; wait for it or choose another --folder") from error
+        yield

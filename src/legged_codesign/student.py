@@ -1,0 +1,114 @@
+"""From the chosen body's policy to a bundle: imitation, comparison with the teacher, export."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import distill
+import mujoco
+import numpy as np
+from locorl import EvalConfig, LeggedEnv, Policy, evaluate, flat_scene
+from locorl.interfaces import Array
+from locorl.observation import locomotion_layout
+from locorl.task import TaskConfig
+from morphgen import BodyFactory
+from morphgen.mjcf import to_mjcf
+
+from legged_codesign.config import DeployConfig, RunConfig
+from legged_codesign.provenance import current_commit, provenance
+from legged_codesign.stages import write_text
+
+
+def train_student(
+    folder: Path, factory: BodyFactory, teacher: Policy, design: Array, config: RunConfig
+) -> distill.Student:
+    """Train a student of `teacher` on robots with the body `design`; goes on from what `folder` holds."""
+    env = LeggedEnv(factory, np.tile(design, (config.distill_envs, 1)), teacher.card.task, seed=config.seed)
+    return distill.train(env, teacher, folder, replace(config.imitation, seed=config.seed), config.student)
+
+
+def compare(
+    path: Path,
+    factory: BodyFactory,
+    teacher: Policy,
+    student: distill.Student,
+    design: Array,
+    config: DeployConfig,
+    robots: int = 16,
+) -> None:
+    """Score student and teacher on the same starts at the deployment's command and write the table to `path`."""
+    protocol = EvalConfig(config.seconds, (config.speed, config.speed), min(2.0, config.seconds / 3), robots, 0.1)
+    actors = {"teacher": teacher, "student": distill.StudentPolicy(student, robots)}
+    table = {
+        name: evaluate(actor, factory, design[None], teacher.card.task, protocol).summary()
+        for name, actor in actors.items()
+    }
+    write_text(path, json.dumps(table, indent=1) + "\n")
+
+
+def export(
+    folder: Path, factory: BodyFactory, teacher: Policy, student: distill.Student, design: Array, config: RunConfig
+) -> None:
+    """Write the bundle of `student` for the body `design`."""
+    spec = bundle_spec(factory, teacher, design, {"config": asdict(config), "provenance": provenance()})
+    distill.export_bundle(folder, student, spec)
+
+
+def bundle_spec(
+    factory: BodyFactory, teacher: Policy, design: Array, training: dict[str, object]
+) -> distill.BundleSpec:
+    """Everything that a robot needs to know besides the network, from the body and the policy's task."""
+    task: TaskConfig = teacher.card.task
+    scene = flat_scene(task.physics)
+    body = factory.batch(design[None], scene)
+    layout, command = factory.layout, task.command
+    joints = tuple(
+        distill.JointSpec(
+            name=name,
+            actuator=layout.actuators[j],
+            stance=float(body.stance_qpos[0, 7 + j]),
+            target_offset=float(body.stance_ctrl[0, j]),
+            kp=float(body.kp[0, j]),
+            kd=float(body.kd[0, j]),
+            torque_limit=float(body.torque_limit[0, j]),
+            velocity_limit=float(body.velocity_limit[0, j]),
+            lower=float(body.joint_lower[0, j]),
+            upper=float(body.joint_upper[0, j]),
+        )
+        for j, name in enumerate(layout.joints)
+    )
+    robot_only = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
+    robot_only.modelname = factory.name
+    names = factory.space.names
+    return distill.BundleSpec(
+        name=f"{factory.name}-{task.name}",
+        robot=factory.name,
+        base=layout.base,
+        feet=layout.feet,
+        design={name: float(value) for name, value in zip(names, design, strict=True)},
+        total_mass=float(body.total_mass[0]),
+        joints=joints,
+        observation=_observation(teacher),
+        urdf=factory.urdf(design),
+        robot_xml=to_mjcf(factory.spec(design, robot_only)),
+        scene_xml=to_mjcf(factory.spec(design, scene)),
+        start_height=float(body.stance_qpos[0, 2]),
+        physics_dt=task.physics.timestep,
+        command_low=(command.vx[0], command.vy[0], command.yaw_rate[0]),
+        command_high=(command.vx[1], command.vy[1], command.yaw_rate[1]),
+        action_scale=task.action_scale,
+        action_clip=task.action_clip,
+        policy_hz=1.0 / task.physics.control_dt,
+        training=training,
+        commit=current_commit(),
+    )
+
+
+def _observation(teacher: Policy) -> tuple[distill.ObservationTerm, ...]:
+    layout = locomotion_layout(len(teacher.card.design_names))
+    return tuple(
+        distill.ObservationTerm(term.name, term.name, term.scale, term.frame, term.unit)  # pyright: ignore[reportArgumentType]
+        for term in layout.proprio
+    )

@@ -1,0 +1,89 @@
+"""One trial: fine-tune the generalist to a body, score it, keep the better policy."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from codesign_bo import EvalRequest, EvalResult
+from locorl import Evaluation, Policy, evaluate, finetune
+from locorl.interfaces import BodyFactory
+
+from legged_codesign.config import RunConfig
+from legged_codesign.objective import evaluation_config, robot_scores
+from legged_codesign.stages import write_text
+
+
+@dataclass(frozen=True)
+class FineTuneAndScore:
+    """The callback of the search (Algorithm 2, lines 2 to 8).
+
+    Fine-tunes for the stated budget and scores both the result and the generalist on the same starts; the
+    better one is the body's policy, so that a fine-tune never makes a body worse. Writes `policy.pt` and
+    `result.json` into the request's folder; a request that was already answered there is not done again.
+    """
+
+    factory: BodyFactory
+    generalist: Policy
+    config: RunConfig
+
+    def __call__(self, request: EvalRequest) -> EvalResult:
+        """Score one body."""
+        stored = _stored(request)
+        if stored is not None:
+            return stored
+        config = self.config
+        design = np.array([request.params[name] for name in self.factory.space.names])
+        tuned = finetune(self.generalist, self.factory, design, config.finetune, request.seed)
+        protocol = evaluation_config(config.score, request.seed)
+        candidates = {"generalist": self.generalist, "fine-tuned": tuned.policy}
+        task = tuned.policy.card.task
+        results = {
+            name: evaluate(policy, self.factory, design[None], task, protocol) for name, policy in candidates.items()
+        }
+        scores = {name: robot_scores(results[name], config.objective, config.score)[0] for name in candidates}
+        chosen = max(scores, key=lambda name: float(scores[name].mean()))
+        result = EvalResult(
+            mean=float(scores[chosen].mean()),
+            sem=float(scores[chosen].std(ddof=1) / np.sqrt(len(scores[chosen]))),
+            n=len(scores[chosen]),
+            extras={
+                **facts(results[chosen]),
+                "score_generalist": float(scores["generalist"].mean()),
+                "score_fine_tuned": float(scores["fine-tuned"].mean()),
+                "fine_tuned": float(chosen == "fine-tuned"),
+            },
+            curve=tuple((row["samples"], row["reward"]) for row in tuned.curve),
+        )
+        candidates[chosen].save(request.workdir / "policy.pt")
+        record = {"params": dict(request.params), "seed": request.seed, "result": json.loads(result.to_json())}
+        write_text(request.workdir / "result.json", json.dumps(record, indent=1) + "\n")
+        return result
+
+
+def facts(result: Evaluation) -> dict[str, float]:
+    """What stands beside a score: return, tracking, survival, way and energy, as finite numbers."""
+    summary = result.summary()
+    names = ("return", "tracking_error", "survived", "distance", "energy", "cost_of_transport")
+    return {name: summary[name] for name in names if np.isfinite(summary[name])} | {
+        "mean_power": float(result.mean_power.mean())
+    }
+
+
+def _stored(request: EvalRequest) -> EvalResult | None:
+    """The result on disk, if it answers this very request and its policy is there."""
+    path = request.workdir / "result.json"
+    if not path.is_file() or not (request.workdir / "policy.pt").is_file():
+        return None
+    record = json.loads(path.read_text(encoding="utf-8"))
+    if record["params"] != dict(request.params) or record["seed"] != request.seed:
+        return None
+    return EvalResult.from_json(json.dumps(record["result"]))
+
+
+def trial_folder(folder: Path, trial: int, repeat: int | None = None) -> Path:
+    """Folder of a trial's files, or of one of its confirmation runs."""
+    base = folder / "trials" / f"{trial:04d}"
+    return base if repeat is None else base / "confirm" / f"{repeat:02d}"
