@@ -174,29 +174,24 @@ def test_report_reads_back_the_same_summary(walk):
 def test_two_runs_are_identical_to_the_byte(bundle_dir, tmp_path):
     logs = [tmp_path / "a.mcap", tmp_path / "b.mcap", tmp_path / "c.mcap"]
     for path, seed in zip(logs, (3, 3, 4), strict=True):
-        run(bundle_dir, (0.3, 0.0, 0.0), duration=1.0, log=path, seed=seed)
+        run(bundle_dir, (0.3, 0.0, 0.0), duration=0.4, log=path, seed=seed)
     first, second, other = map(payloads, logs)
     assert first == second
     assert first != other
 
 
-def test_order_of_actuators_does_not_matter(folder, make_scene, walk):
+def test_order_of_actuators_does_not_matter(folder, make_scene, bundle_dir):
     """The same robot with its actuators listed backwards walks the same way."""
     names = tuple(joint["name"] for joint in folder.manifest["joints"])
     folder.files["scene.xml"] = make_scene(order=names[::-1]).encode()
-    summary = run(folder.seal(), (0.3, 0.0, 0.0), duration=1.0, seed=0)
-    reference = run(walk_bundle(folder, make_scene), (0.3, 0.0, 0.0), duration=1.0, seed=0)
-    assert summary.distance_m == pytest.approx(reference.distance_m, abs=0.02)
-    assert summary.eq10_w_ticks == pytest.approx(reference.eq10_w_ticks, rel=0.05)
+    summary = run(folder.seal(), (0.3, 0.0, 0.0), duration=0.4)
+    reference = run(bundle_dir, (0.3, 0.0, 0.0), duration=0.4)
+    assert summary.displacement_m == pytest.approx(reference.displacement_m, rel=1e-6)
+    assert summary.eq10_w_ticks == pytest.approx(reference.eq10_w_ticks, rel=1e-6)
 
 
-def walk_bundle(folder, make_scene):
-    folder.files["scene.xml"] = make_scene().encode()
-    return folder.seal()
-
-
-def test_a_fall_is_a_fall(folder, golden, pack):
-    """A robot whose servos are too weak to hold it sinks to the ground: fell, not completed."""
+def test_a_fall_is_a_fall(folder):
+    """A robot whose servos are too weak to hold it sinks to the ground before the policy has control."""
     scene = folder.files["scene.xml"].decode().replace('forcerange="-30.0 30.0"', 'forcerange="-1 1"')
     folder.files["scene.xml"] = scene.encode()
     for joint in folder.manifest["joints"]:
@@ -204,8 +199,10 @@ def test_a_fall_is_a_fall(folder, golden, pack):
     summary = run(folder.seal(), (0.3, 0.0, 0.0), duration=10.0)
     assert summary.fell
     assert not summary.completed
-    assert summary.reason.split(":")[0] in ("fell", "tilt")
-    assert summary.tracking_error is None or summary.tracking_error > 0.2
+    assert "over its feet" in summary.reason
+    assert summary.ticks == 0
+    assert summary.distance_m is None
+    assert summary.energy_j_50hz == 0.0
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.99])

@@ -144,20 +144,21 @@ class MujocoRobot:
                 )
 
     def _start_in_stance(self, bundle: Bundle, rng: np.random.Generator, noise: float) -> None:
-        stance = {joint.name: joint for joint in bundle.joints}
+        joints = {joint.name: joint for joint in bundle.joints}
+        ordered = [joints[name] for name in self._joints.names]
+        start = {joint.name: joint.stance + rng.uniform(-noise, noise) for joint in bundle.joints}
         root = self._root_qpos
         qpos = self._data.qpos
         qpos[root + 2] = bundle.start_height
         qpos[root + 3 : root + 7] = bundle.start_quat_wxyz
-        angles = np.array([stance[name].stance for name in self._joints.names])
-        qpos[self._joints.qpos] = angles + rng.uniform(-noise, noise, angles.shape)
-        zeros = np.zeros(len(angles))
+        qpos[self._joints.qpos] = [start[joint.name] for joint in ordered]
+        zeros = np.zeros(len(ordered))
         self.write(
             JointCommand(
-                q=np.array([stance[name].target_offset for name in self._joints.names]),
+                q=np.array([joint.target_offset for joint in ordered]),
                 dq=zeros,
-                kp=np.array([stance[name].kp for name in self._joints.names]),
-                kd=np.array([stance[name].kd for name in self._joints.names]),
+                kp=np.array([joint.kp for joint in ordered]),
+                kd=np.array([joint.kd for joint in ordered]),
                 tau=zeros,
                 stamp_ns=0,
             )

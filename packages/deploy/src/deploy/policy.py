@@ -18,7 +18,7 @@ class PolicyStep:
 
     Attributes:
         obs: What went into the network, shape (P,).
-        action: What came out, after clipping, shape (12,).
+        action: What came out, shape (12,).
         target: Joint targets, policy order, shape (12,), rad.
         velocity: Estimated base velocity, base frame, shape (3,), m/s, or None.
     """
@@ -30,7 +30,7 @@ class PolicyStep:
 
 
 class Policy:
-    """Turns robot states into joint targets; keeps the previous action and the recurrent state."""
+    """Turns robot states into joint targets; keeps the previous (clipped) action and the recurrent state."""
 
     def __init__(self, bundle: Bundle, runtime: PolicyRuntime) -> None:
         self._runtime = runtime
@@ -49,6 +49,6 @@ class Policy:
         """One tick; `state` has its joints in policy order, `command` is (vx, vy, yaw_rate)."""
         obs = self._builder.build(state, command, self._last_action)
         output = self._runtime.step(obs)
-        action = np.clip(output.action, -self._clip, self._clip)
-        self._last_action = action
-        return PolicyStep(obs, action, self._offset + self._scale * action, output.velocity)
+        self._last_action = np.clip(output.action, -self._clip, self._clip)
+        target = self._offset + self._scale * self._last_action
+        return PolicyStep(obs, output.action, target, output.velocity)
