@@ -40,4 +40,4 @@ class HistoryBuffer:
         if done is None:
             self.frames = torch.zeros_like(self.frames)
         else:
-            self.frames = self.frames * (~done).to(self.frames.dtype)[:, None, None]
+            self.frames = self.frames.masked_fill(done[:, None, None], 0.0)

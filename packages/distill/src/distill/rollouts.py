@@ -77,8 +77,8 @@ class RolloutRing:
         samples = {name: store[row, robot] for name, store in self._fields.items()}
         rows = (step[:, None] - self._back) % self._size
         frames = self._fields["proprio"][rows, robot[:, None]]
-        same_episode = self._back <= self._age[row, robot][:, None]
-        samples["history"] = frames * same_episode.unsqueeze(-1)
+        other_episode = self._back > self._age[row, robot][:, None]
+        samples["history"] = frames.masked_fill(other_episode.unsqueeze(-1), 0.0)
         return samples
 
     def state_dict(self) -> dict[str, object]:

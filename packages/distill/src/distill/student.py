@@ -58,8 +58,14 @@ class HistoryEncoder(nn.Module):
         channels, length = config.frame_features, config.history
         for index, width in enumerate(config.channels):
             kernel = min(self.kernels[min(index, len(self.kernels) - 1)], length)
-            layers += [nn.Conv1d(channels, width, kernel, self.stride), nn.ELU()]
-            channels, length = width, (length - kernel) // self.stride + 1
+            # Padded at the old end, so that the stride never leaves out the newest frames.
+            padding = -(length - kernel) % self.stride
+            layers += [
+                nn.ConstantPad1d((padding, 0), 0.0),
+                nn.Conv1d(channels, width, kernel, self.stride),
+                nn.ELU(),
+            ]
+            channels, length = width, (length + padding - kernel) // self.stride + 1
         self.time = nn.Sequential(*layers)
         self.features = nn.Sequential(nn.Linear(channels * length, config.encoder_features), nn.ELU())
 
