@@ -1,0 +1,48 @@
+# make demo sets up and runs the main job; make test sets up and passes the tests.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PACKAGES := morphgen locorl codesign_bo distill deploy
+EDITABLE := $(foreach p,$(PACKAGES),-e packages/$(p)[test])
+STAMP := $(VENV)/.installed
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: install demo test test-all test-alone lint format bench clean
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt $(wildcard packages/*/pyproject.toml)
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --constraint constraints.txt torch
+	$(BIN)/pip install --quiet --constraint constraints.txt $(EDITABLE) -e .[test,dev]
+	touch $(STAMP)
+
+demo: install
+	$(BIN)/codesign run --preset laptop
+
+test: lint
+	$(BIN)/pytest -m "not slow"
+
+test-all: lint
+	$(BIN)/pytest
+	$(MAKE) test-alone
+
+# each package in an environment of its own, with only its [test] extra
+test-alone: install
+	$(BIN)/python tools/test_alone.py $(PACKAGES)
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: install
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: install
+	$(BIN)/python benchmarks/env_overhead.py
+
+clean:
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
