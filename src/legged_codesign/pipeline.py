@@ -30,6 +30,9 @@ from legged_codesign.report.render import write_report
 from legged_codesign.stages import RunError, Stage, locked, run_stages, write_text
 from legged_codesign.trial import FineTuneAndScore, trial_folder
 
+SCREENING_SEED = 10_007
+"""Added to the run's seed, so that screened bodies are not those of the study's own Sobol sequence."""
+
 
 @dataclass(frozen=True)
 class Files:
@@ -214,7 +217,7 @@ class _Run:
         """Score many bodies under the generalist as it is."""
         config = self.config
         screen, score = config.screen, config.score
-        points = [self.space.nominal, *sobol_designs(self.space, screen.bodies, config.seed, self._feasible)]
+        points = [self.space.nominal, *sobol_designs(self.space, screen.bodies, config.seed + SCREENING_SEED, self._feasible)]
         protocol = EvalConfig(
             screen.seconds, (score.speed, score.speed), screen.seconds / 4, screen.robots, 0.1, config.seed
         )

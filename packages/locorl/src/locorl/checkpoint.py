@@ -33,6 +33,7 @@ def save(path: Path, content: Mapping[str, Any]) -> None:
             torch.save({"format": FORMAT, **content}, file)
             file.flush()
             os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except (OSError, RuntimeError) as error:
         raise CheckpointError(f"cannot write {path}: {error}; the previous file is untouched") from error

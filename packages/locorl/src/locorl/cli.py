@@ -32,6 +32,8 @@ class Train:
     folder: Annotated[Path, tyro.conf.Positional]
     """Where checkpoint.pt, policy.pt, metrics.jsonl and config.json go."""
     robot: str = "go2"
+    start: Path | None = None
+    """Policy to go on from, for instance with other reward weights; the optimiser starts fresh."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
 
     def run(self) -> None:
@@ -41,7 +43,8 @@ class Train:
             f"{self.config.num_envs} robots x {self.config.ppo.steps} steps x {self.config.iterations} iterations "
             f"= {samples / 1e6:.1f} M environment steps -> {self.folder}"
         )
-        trainer = Trainer(find_factory(self.robot), self.config, self.folder)
+        start = None if self.start is None else load_policy(self.start)
+        trainer = Trainer(find_factory(self.robot), self.config, self.folder, start=start)
         trainer.run()
 
 
