@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import torch
 
@@ -23,6 +23,15 @@ def save(path: Path, content: Mapping[str, Any]) -> None:
     Raises:
         CheckpointError: the disk is full or the folder cannot be written to; the old file is untouched.
     """
+    _replace(path, lambda file: torch.save({"format": FORMAT, **content}, file))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` to `path` in the same all-or-nothing manner; raises as `save` does."""
+    _replace(path, lambda file: file.write(text.encode()))
+
+
+def _replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -30,7 +39,7 @@ def save(path: Path, content: Mapping[str, Any]) -> None:
         raise CheckpointError(f"cannot write to {path.parent}: {error}; free space or choose another folder") from error
     try:
         with os.fdopen(handle, "wb") as file:
-            torch.save({"format": FORMAT, **content}, file)
+            write(file)
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, 0o644)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -109,14 +110,18 @@ class Evaluate:
 
 
 def to_json(result: Evaluation) -> dict[str, object]:
-    """Summary, protocol and one row per robot."""
+    """Summary, protocol and one row per robot; what is infinite (the cost of going nowhere) becomes None."""
     columns = ("command", "survived", "returns", "tracking_error", "distance", "energy", "cost_of_transport")
     rows = [
-        {"design": design.tolist(), **{name: getattr(result, name)[i, j].item() for name in columns}}
+        {"design": design.tolist(), **_finite({name: getattr(result, name)[i, j].item() for name in columns})}
         for i, design in enumerate(result.designs)
         for j in range(result.command.shape[1])
     ]
-    return {"summary": result.summary(), "protocol": asdict(result.config), "robots": rows}
+    return {"summary": _finite(result.summary()), "protocol": asdict(result.config), "robots": rows}
+
+
+def _finite(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}
 
 
 def print_summaries(results: dict[str, dict[str, float]]) -> None:

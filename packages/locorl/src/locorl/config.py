@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
+from types import NoneType, UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
@@ -32,6 +33,8 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
 def _restore(hint: Any, value: Any) -> Any:
     if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
         return from_dict(hint, value)  # pyright: ignore[reportArgumentType]
+    if get_origin(hint) is UnionType:
+        hint = next((arg for arg in get_args(hint) if arg is not NoneType), hint) if value is not None else NoneType
     if get_origin(hint) is tuple:
         args = get_args(hint)
         kinds = args[:1] * len(value) if len(args) == 2 and args[1] is Ellipsis else args

@@ -48,10 +48,9 @@ class CpuSimulator(Simulator):
         self.substeps = substeps
         self.timestep = float(self.model.opt.timestep)
         self.control_dt = self.timestep * substeps
-        self._fields = {**bodies.fields, **(extra_fields or {})}
+        self.fields = {**bodies.fields, **(extra_fields or {})}
         self._threads = threads or available_cores()
         self._batch = self._make_batch(self._threads)
-        self._warnings = np.zeros((self.num_envs, len(_DIVERGENCE)), dtype=np.int64)
 
         bind = self._batch.bind
         self._qvel, self._torque = bind("qvel"), bind("actuator_force")
@@ -67,7 +66,7 @@ class CpuSimulator(Simulator):
 
     def _make_batch(self, threads: int) -> Batch:
         batch = Batch(self.model, self.num_envs, threads)
-        for name, values in self._fields.items():
+        for name, values in self.fields.items():
             batch.expand(name)[...] = values
         batch.set_const()
         return batch
@@ -87,17 +86,14 @@ class CpuSimulator(Simulator):
             np.maximum(self._power, 0.0, out=self._power)
             self._work += self._power.sum(axis=1)
         self._work *= self.timestep
-        self._note_divergence()
+        self.diverged |= self._warned()
+        self._work[self.diverged.numpy()] = 0.0
 
-    def _note_divergence(self) -> None:
-        counts = self._divergence_counts()
-        if (counts != self._warnings).any():
-            self.diverged |= torch.from_numpy((counts > self._warnings).any(axis=1))
-            self._warnings = counts
-
-    def _divergence_counts(self) -> NDArray[np.int64]:
-        # columns of a warning: last info, count
-        return np.asarray(self._batch.warning)[:, [int(kind) for kind in _DIVERGENCE], 1].astype(np.int64)
+    def _warned(self) -> Tensor:
+        """Simulations that MuJoCo found unstable since their last `set_state`, which zeroes its counters."""
+        # columns of a warning: last info, count; MuJoCo restarts the count at each failure
+        counts = np.asarray(self._batch.warning)[:, [int(kind) for kind in _DIVERGENCE], 1]
+        return torch.from_numpy((counts > 0).any(axis=1))
 
     def set_state(self, ids: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Simulator.set_state`."""
@@ -144,6 +140,7 @@ class CpuSimulator(Simulator):
                 f"{self._batch.state.shape}: it was saved with another number of robots or another model"
             )
         self._batch.state[...] = state["state"].numpy()
+        self._batch.warning[...] = 0
 
 
 def available_cores() -> int:

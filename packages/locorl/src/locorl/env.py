@@ -165,7 +165,8 @@ class LeggedEnv:
 
         self._push()
         self._renew_commands()
-        obs = self._observe(now)
+        # a push changes what the robot feels, and a resumed run must see the same
+        obs = self._observe(now if task.randomisation.push <= 0.0 else None)
         truncated_ids = truncated.nonzero().flatten()
         final_obs = {group: values[truncated_ids] for group, values in obs.items()}
         done = (terminated | truncated).nonzero().flatten()

@@ -44,6 +44,11 @@ class EvalConfig:
     seed: int = 0
     """Same seed, same commands and starts, whatever the bodies: common random numbers."""
 
+    def __post_init__(self) -> None:
+        """Refuse an episode without anything to measure."""
+        if not 0.0 <= self.settle < self.seconds or self.robots_per_body < 1:
+            raise ValueError(f"EvalConfig: need 0 <= settle < seconds and robots_per_body >= 1, got {self}")
+
 
 @dataclass(frozen=True)
 class Evaluation:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from locorl.bodies import repeat_design
 from locorl.interfaces import Array, BodyFactory
+from locorl.metrics import read_metrics
 from locorl.policy import Policy
 from locorl.ppo import PPOConfig
 from locorl.train import TrainConfig, Trainer
@@ -77,9 +78,10 @@ def finetune(
         seed=seed,
         task=task,
         ppo=config.ppo,
-        save_every=10**9,
     )
     bodies = repeat_design(factory, design, config.num_envs)
     trainer = Trainer(factory, train, folder, designs=bodies, start=generalist, threads=threads)
     curve = trainer.run("fine-tune", quiet=quiet)
+    if folder:  # a resumed run has earlier iterations too
+        curve = read_metrics(folder / "metrics.jsonl")
     return Finetuned(trainer.policy(), curve)

@@ -18,15 +18,16 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from locorl import checkpoint
+
 
 class MetricsFile:
     """Appends one JSON object per line; a resumed run first drops the lines it will write again."""
 
     def __init__(self, path: Path, keep_until: int = 0) -> None:
         self._path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
         rows = [row for row in read_metrics(path) if row["iteration"] <= keep_until]
-        path.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
+        checkpoint.write_text(path, "".join(json.dumps(row) + "\n" for row in rows))
 
     def write(self, row: Mapping[str, float]) -> None:
         """Append one row."""

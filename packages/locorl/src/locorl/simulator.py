@@ -24,8 +24,9 @@ class Simulator(ABC):
     `torque`            (N, 12)       joint torque, N m, at the start of the last physics step; read only
     `sensors`           (N, n)        all sensors, at the start of the last physics step; read only
     `positive_work`     (N,)          J done by the joints in the last control period: the integral of
-                                      sum_j max(tau_j w_j, 0), accumulated at every physics step (eq. 10)
-    `diverged`          (N,) bool     simulations that failed in the last control period
+                                      sum_j max(tau_j w_j, 0), accumulated at every physics step (eq. 10);
+                                      0 where diverged
+    `diverged`          (N,) bool     simulations that failed since their last `set_state`
     ==================  ============  =================================================================
 
     A diverged simulation must be reset with `set_state` before the next step.

@@ -131,7 +131,7 @@ class Trainer:
         if self.folder:
             log = MetricsFile(self.folder / "metrics.jsonl", self.iteration)
             described = {"robot": self._card.robot, **to_dict(config)}
-            (self.folder / "config.json").write_text(json.dumps(described, indent=2) + "\n", encoding="utf-8")
+            checkpoint.write_text(self.folder / "config.json", json.dumps(described, indent=2) + "\n")
         if self._obs is None:
             self._obs = self.env.reset()
         with TrainingProgress(title, config.iterations, self.iteration, quiet) as progress:
@@ -182,6 +182,8 @@ class Trainer:
             return None
         path = self.folder / "checkpoint.pt"
         content = checkpoint.load(path)
+        if "config" not in content:
+            raise checkpoint.CheckpointError(f"{path} holds a policy but no training to resume; use another folder")
         mine = to_dict(self.config)
         # a longer run of the same configuration is the same run
         changes = differences({**content["config"], "iterations": 0}, {**mine, "iterations": 0})
@@ -194,6 +196,13 @@ class Trainer:
     def _restore(self, content: Mapping[str, Any]) -> None:
         if not np.array_equal(content["designs"].numpy(), self.env.bodies.designs):
             raise checkpoint.CheckpointError(f"{self.folder}: the checkpoint was trained on other bodies")
+        samples = self._card.samples + int(content["iteration"]) * self.config.samples_per_iteration
+        changes = differences(content["card"], to_dict(replace(self._card, samples=samples)))
+        if changes:
+            raise checkpoint.CheckpointError(
+                f"{self.folder}: the checkpoint belongs to another robot or another starting policy; use another "
+                "folder. Differences:\n  " + "\n  ".join(changes)
+            )
         self.model.load_state_dict(content["model"])
         self.ppo.load_state_dict(content["ppo"])
         self._obs = self.env.load_state_dict(content["env"])
