@@ -80,13 +80,12 @@ class Report:
 
     def run(self) -> None:
         """Write it."""
-        from locorl.providers import find_factory
-
         from legged_codesign.pipeline import read_config
         from legged_codesign.report.render import write_report
+        from legged_codesign.robots import body_factory
 
         config = read_config(self.folder)
-        console.print(str(write_report(self.folder, config, find_factory(config.robot))), soft_wrap=True)
+        console.print(str(write_report(self.folder, config, body_factory(config.robot))), soft_wrap=True)
 
 
 def parse_bounds(text: str) -> tuple[str, float, float]:

@@ -16,7 +16,6 @@ from codesign_bo import BoxSpace, Study, sobol_designs
 from locorl import EvalConfig, Policy, Trainer, evaluate, feasible, load_policy
 from locorl.config import differences, from_dict, to_dict
 from locorl.interfaces import Array
-from locorl.providers import find_factory
 from rich.console import Console
 
 from legged_codesign import student as student_stage
@@ -27,6 +26,7 @@ from legged_codesign.predict import predict
 from legged_codesign.pretrained import shipped_policy
 from legged_codesign.provenance import provenance
 from legged_codesign.report.render import write_report
+from legged_codesign.robots import body_factory
 from legged_codesign.stages import RunError, Stage, locked, run_stages, write_text
 from legged_codesign.trial import FineTuneAndScore, trial_folder
 
@@ -140,7 +140,7 @@ class _Run:
 
     def __init__(self, config: RunConfig, files: Files, console: Console) -> None:
         self.config, self.files, self.console = config, files, console
-        self.factory = find_factory(config.robot)
+        self.factory = body_factory(config.robot)
         nominal = self.factory.space
         space = BoxSpace.box(list(nominal.names), list(nominal.low), list(nominal.high), list(nominal.nominal))
         space = space.with_bounds({name: (low, high) for name, low, high in config.bounds})
@@ -183,7 +183,7 @@ class _Run:
                 settings,
                 [files.trials, files.choice, folder / "rollout.json"],
                 [files.report],
-                lambda: write_report(files.folder, self.config, self.factory),
+                self.report,
             ),
         )
         run_stages(folder, stages, self.console)
@@ -217,7 +217,10 @@ class _Run:
         """Score many bodies under the generalist as it is."""
         config = self.config
         screen, score = config.screen, config.score
-        points = [self.space.nominal, *sobol_designs(self.space, screen.bodies, config.seed + SCREENING_SEED, self._feasible)]
+        points = [
+            self.space.nominal,
+            *sobol_designs(self.space, screen.bodies, config.seed + SCREENING_SEED, self._feasible),
+        ]
         protocol = EvalConfig(
             screen.seconds, (score.speed, score.speed), screen.seconds / 4, screen.robots, 0.1, config.seed
         )
@@ -287,7 +290,7 @@ class _Run:
         (self.files.folder / "student").mkdir(exist_ok=True)
         load_policy(folder / "policy.pt").save(self.files.folder / "student" / "teacher.pt")
         write_text(self.files.choice, choice.to_json())
-        urdf = self.factory.urdf(choice.design(self.factory.space.names))  # pyright: ignore[reportAttributeAccessIssue]
+        urdf = self.factory.urdf(choice.design(self.factory.space.names))
         write_text(self.files.folder / "best.urdf", urdf)
         self.console.print(f"  {choice.sentence(config.objective)}", highlight=False, soft_wrap=True)
 
@@ -326,6 +329,10 @@ class _Run:
             f"{summary.energy_j_physics or summary.energy_j_50hz:.0f} J",
             highlight=False,
         )
+
+    def report(self) -> None:
+        """Write the page."""
+        write_report(self.files.folder, self.config, self.factory)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """From the chosen body's policy to a bundle: imitation, comparison with the teacher, export."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 import json
@@ -79,7 +81,7 @@ def bundle_spec(
         )
         for j, name in enumerate(layout.joints)
     )
-    robot_only = mujoco.MjSpec()  # pyright: ignore[reportAttributeAccessIssue]
+    robot_only = mujoco.MjSpec()
     robot_only.modelname = factory.name
     names = factory.space.names
     return distill.BundleSpec(

@@ -66,9 +66,15 @@ def read_run(folder: Path) -> RunData:
             pretrain=read_metrics(folder / "pretrain" / "metrics.jsonl"),
             comparison=_json(folder / "student" / "comparison.json"),
             rollout=_json(folder / "rollout.json"),
-            stages={row["stage"]: row["seconds"] for row in read_metrics(folder / "metrics.jsonl")},
+            stages=_stages(folder / "metrics.jsonl"),
             provenance=yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))["provenance"],
         )
+
+
+def _stages(path: Path) -> dict[str, float]:
+    """Seconds of each stage, the last time that it ran."""
+    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return {row["stage"]: row["seconds"] for row in rows}
 
 
 def _json(path: Path) -> Any:

@@ -9,6 +9,7 @@ from codesign_bo.confirm import Gain
 from codesign_bo.records import ConfirmationRecord, TrialRecord
 from codesign_bo.view import Slice
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from legged_codesign.config import Objective
 from legged_codesign.objective import UNITS, physical
@@ -43,7 +44,7 @@ def search_history(trials: Sequence[TrialRecord], objective: Objective) -> Figur
     ax.step(numbers, best, where="post", color=INK, linewidth=1.2, label="best so far")
     _fit_to_walkers(ax, values)
     label(ax, "trial", UNITS[objective])
-    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.legend(frameon=False, fontsize=8.5, ncols=3)
     return made
 

@@ -1,5 +1,7 @@
 """The motion in a log, as arrays; read with rosbags, like any other tool would."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -64,7 +66,7 @@ def read_motion(log: Path) -> Motion:
 
 def load_scene(path: Path) -> mujoco.MjModel:
     """The bundle's scene, with an off-screen buffer large enough for a video."""
-    spec = mujoco.MjSpec.from_file(str(path))  # pyright: ignore[reportAttributeAccessIssue]
+    spec = mujoco.MjSpec.from_file(str(path))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
     return spec.compile()
 

@@ -4,6 +4,8 @@ Run as `python -m legged_codesign.report.video SCENE LOG OUT`, in a process of i
 driver then takes down no run.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 import os
@@ -107,7 +109,7 @@ def _encode(out: Path, frames: Iterator[Frame]) -> None:
     """Write frames as H.264, which browsers play; complete or not at all."""
     partial = out.with_suffix(".partial.mp4")
     writer = imageio_ffmpeg.write_frames(
-        str(partial), (WIDTH, HEIGHT), fps=FPS, quality=None, output_params=["-crf", "30", "-preset", "veryfast"]
+        str(partial), (WIDTH, HEIGHT), fps=FPS, quality=4, output_params=["-preset", "veryfast"]
     )
     writer.send(None)
     for frame in frames:

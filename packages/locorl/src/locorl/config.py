@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import NoneType, UnionType
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -35,7 +35,7 @@ def _restore(hint: Any, value: Any) -> Any:
         return from_dict(hint, value)  # pyright: ignore[reportArgumentType]
     if get_origin(hint) is UnionType:
         hint = next((arg for arg in get_args(hint) if arg is not NoneType), hint) if value is not None else NoneType
-    if get_origin(hint) is tuple:
+    if get_origin(hint) is tuple and isinstance(value, Sequence):
         args = get_args(hint)
         kinds = args[:1] * len(value) if len(args) == 2 and args[1] is Ellipsis else args
         return tuple(_restore(kind, item) for kind, item in zip(kinds, value, strict=True))

@@ -1,5 +1,7 @@
 """CpuSimulator: MuJoCo's C++ thread pool, one model, per-simulation bodies."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 import os

@@ -1,5 +1,7 @@
 """What locorl needs from the outside: bodies. Any package that satisfies these Protocols will do."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 from collections.abc import Mapping

@@ -1,5 +1,7 @@
 """Scenes: the ground under the robots and the solver options of the physics."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 from dataclasses import dataclass
