@@ -117,9 +117,7 @@ def suggest(
     return points[int(np.argmax(scores))]
 
 
-def _raw_points(
-    space: BoxSpace, surrogate: Surrogate, seed: int, maximize: bool, feasible: Feasible | None
-) -> Array:
+def _raw_points(space: BoxSpace, surrogate: Surrogate, seed: int, maximize: bool, feasible: Feasible | None) -> Array:
     """Return feasible points (n, dim): some all over the cube, some around the best observed point."""
     spread = sobol_points(space, _RAW_POINTS, seed, feasible)
     mean, _ = surrogate.predict(surrogate.x)

@@ -108,10 +108,7 @@ def analyse(
     base = np.array([nominal[r] for r in repeats])
     table = np.array([[scores[t][r] for r in repeats] for t in complete])
     half = _half_width(np.vstack([base, table]), level)
-    gains = [
-        _gain(trial, params[trial], row, base, half, maximize)
-        for trial, row in zip(complete, table, strict=True)
-    ]
+    gains = [_gain(trial, params[trial], row, base, half, maximize) for trial, row in zip(complete, table, strict=True)]
     return Confirmation(tuple(sorted(gains, key=lambda g: (-g.gain, g.trial))), failed, level)
 
 

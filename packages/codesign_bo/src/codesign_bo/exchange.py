@@ -77,16 +77,15 @@ def import_study(source: Path | str, path: Path | str) -> None:
             raise ValueError(f"format {document['format']!r}, schema version {document['schema_version']}")
         space = BoxSpace.from_signature(document["space"])
         header = Header(space.signature(), document["seed"], document["n_init"], document["maximize"])
-        temporary = path.with_name(path.name + ".importing")
-        temporary.unlink(missing_ok=True)
-        storage = Storage(temporary)
-        try:
-            storage.bind(header)
-            _fill(storage, space, document)
-        finally:
-            storage.close()
-        os.replace(temporary, path)
-        temporary.with_name(temporary.name + ".lock").unlink(missing_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".import") as folder:
+            storage = Storage(Path(folder) / path.name)
+            try:
+                storage.bind(header)
+                _fill(storage, space, document)
+            finally:
+                storage.close()
+            os.replace(storage.path, path)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise StudyError(
             f"cannot import {source} ({type(error).__name__}: {error}); "

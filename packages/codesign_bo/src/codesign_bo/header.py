@@ -54,8 +54,6 @@ def differences(stored: Header, given: Header) -> list[str]:
     words += [f"parameter {name} is only here" for name in here if name not in there]
     for name in (n for n in there if n in here and there[n] != here[n]):
         words += [
-            f"{name}.{k} is {there[name][k]} there, {v} here"
-            for k, v in here[name].items()
-            if there[name][k] != v
+            f"{name}.{k} is {there[name][k]} there, {v} here" for k, v in here[name].items() if there[name][k] != v
         ]
     return words or ["the parameters are in another order"]

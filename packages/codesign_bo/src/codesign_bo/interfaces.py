@@ -108,16 +108,12 @@ class EvalResult:
         if self.sem is not None:
             store(self, "sem", float(self.sem))
             if not (math.isfinite(self.sem) and self.sem >= 0):
-                raise ValueError(
-                    f"EvalResult.sem is {self.sem}: it must be finite and >= 0, or None if unknown"
-                )
+                raise ValueError(f"EvalResult.sem is {self.sem}: it must be finite and >= 0, or None if unknown")
         if self.n < 1:
             raise ValueError(f"EvalResult.n is {self.n}: an ok result needs at least 1 sample")
 
     @classmethod
-    def failure(
-        cls, kind: FailureKind, message: str, extras: Mapping[str, float] | None = None
-    ) -> EvalResult:
+    def failure(cls, kind: FailureKind, message: str, extras: Mapping[str, float] | None = None) -> EvalResult:
         """Return the result of an evaluation that has no score."""
         return cls(mean=math.nan, n=0, extras=extras or {}, status=kind, message=message)
 

@@ -60,9 +60,7 @@ class Parameter:
                 "use BoxSpace.fix to hold a parameter"
             )
         if not self.low <= self.nominal <= self.high:
-            raise ValueError(
-                f"parameter {self.name}: value {self.nominal} lies outside [{self.low}, {self.high}]"
-            )
+            raise ValueError(f"parameter {self.name}: value {self.nominal} lies outside [{self.low}, {self.high}]")
 
 
 @dataclass(frozen=True)
@@ -142,10 +140,7 @@ class BoxSpace:
         """
         self._known(values)
         return BoxSpace(
-            tuple(
-                replace(p, nominal=values[p.name], fixed=True) if p.name in values else p
-                for p in self.parameters
-            )
+            tuple(replace(p, nominal=values[p.name], fixed=True) if p.name in values else p for p in self.parameters)
         )
 
     def check(self, params: Mapping[str, float]) -> dict[str, float]:
@@ -228,9 +223,7 @@ def is_feasible(space: BoxSpace, points: Array, feasible: Feasible | None) -> np
     return mask
 
 
-def sobol_points(
-    space: BoxSpace, n: int, seed: int, feasible: Feasible | None = None, skip: int = 0
-) -> Array:
+def sobol_points(space: BoxSpace, n: int, seed: int, feasible: Feasible | None = None, skip: int = 0) -> Array:
     """Return feasible points of a scrambled Sobol sequence in the unit cube.
 
     Args:
@@ -261,9 +254,7 @@ def sobol_points(
     return kept[skip : skip + n]
 
 
-def sobol_designs(
-    space: BoxSpace, n: int, seed: int, feasible: Feasible | None = None
-) -> list[dict[str, float]]:
+def sobol_designs(space: BoxSpace, n: int, seed: int, feasible: Feasible | None = None) -> list[dict[str, float]]:
     """Return n feasible designs spread over the space, for screening.
 
     Example:

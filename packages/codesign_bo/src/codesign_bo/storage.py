@@ -203,10 +203,7 @@ class Storage:
         failed = "result IS NOT NULL AND json_extract(result, '$.status') != 'ok'"
         with self._transaction():
             tables = ("trials", "confirmations")
-            return sum(
-                self._db.execute(f"UPDATE {table} SET result=NULL WHERE {failed}").rowcount
-                for table in tables
-            )
+            return sum(self._db.execute(f"UPDATE {table} SET result=NULL WHERE {failed}").rowcount for table in tables)
 
     # --- queue and screening --------------------------------------------------------------------------
 

@@ -89,9 +89,7 @@ class MaternGP(gpytorch.models.ExactGP):
     def start_at(self, lengthscale: Array, extra_variance: float) -> None:
         """Set the hyperparameters: length scales (dim,) and extra variance."""
         self.kernel.lengthscale = torch.as_tensor(lengthscale).clamp_min(1.1 * _MIN_LENGTHSCALE)
-        self.noise.initialize(
-            **{"second_noise_covar.noise": torch.tensor(max(extra_variance, 1.1 * _MIN_NOISE))}
-        )
+        self.noise.initialize(**{"second_noise_covar.noise": torch.tensor(max(extra_variance, 1.1 * _MIN_NOISE))})
         self.mean.initialize(constant=0.0)
 
     def start_at_mode(self) -> None:

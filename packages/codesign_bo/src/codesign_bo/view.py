@@ -159,9 +159,7 @@ class StudyView:
         best = self.space.to_unit(self.space.designs([self.best().params]))[0]
         positions, mean, std = slices(self.surrogate(), best, n)
         free = [p for p in self.space.parameters if not p.fixed]
-        return {
-            p.name: Slice(p.low + positions * (p.high - p.low), mean[i], std[i]) for i, p in enumerate(free)
-        }
+        return {p.name: Slice(p.low + positions * (p.high - p.low), mean[i], std[i]) for i, p in enumerate(free)}
 
     def leave_one_out(self) -> LeaveOneOut:
         """Return how well the surrogate predicts each trial from the others."""
