@@ -102,6 +102,7 @@ def test_schema_violation_names_the_element(folder, path, value, element):
         (("joints", 1, "name"), "FL_hip_joint", "FL_hip_joint is listed twice"),
         (("joints", 1, "actuator"), "FL_hip_joint", "FL_hip_joint is listed twice"),
         (("joints", 1, "stance"), 9.0, "FL_thigh_joint: stance"),
+        (("joints", 1, "kp"), 0, "FL_thigh_joint: kp is 0"),
         (("observation", "terms", 0, "size"), 4, "base_angular_velocity: size 4"),
         (("observation", "terms", 0, "scale"), [1, 2], "2 scale factors"),
         (("policy", "inputs", "obs"), [1, 44], "terms make"),

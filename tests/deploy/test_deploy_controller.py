@@ -53,6 +53,15 @@ def test_stands_up_from_the_measured_joints(drive, bundle):
     np.testing.assert_allclose(sent[4:], np.tile(offset, (4, 1)), atol=1e-12)
 
 
+def test_stands_up_from_the_torque_that_holds_it(drive, bundle):
+    """The first target keeps a loaded robot where it is: kp (target - q) starts at the measured torque."""
+    torque = np.linspace(-8, 8, 12)
+    drive.robot.fault = lambda state: replace(state, tau=torque)
+    [tick] = drive(1)
+    start, offset = bundle.per_joint("stance") + torque / 80.0, bundle.per_joint("target_offset")
+    np.testing.assert_allclose(tick.joint_command.q, start + 0.2 * (offset - start))
+
+
 def test_policy_comes_in_by_and_by(drive, bundle):
     ticks = drive(14)
     offset = bundle.per_joint("target_offset")

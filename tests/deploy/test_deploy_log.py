@@ -205,7 +205,7 @@ def test_a_fall_is_a_fall(folder):
     assert summary.energy_j_50hz == 0.0
 
 
-@pytest.mark.parametrize("share", [0.3, 0.7, 0.99])
+@pytest.mark.parametrize("share", [0.001, 0.1, 0.3, 0.7, 0.9, 0.98, 0.99, 0.995, 0.9999])
 def test_truncated_log_says_so(walk, tmp_path, share):
     data = walk[0].read_bytes()
     torn = tmp_path / "torn.mcap"

@@ -120,6 +120,8 @@ def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None
     for joint in bundle.joints:
         if not joint.lower <= joint.stance <= joint.upper:
             problems.append(f"joint {joint.name}: stance {joint.stance} outside [{joint.lower}, {joint.upper}]")
+        if joint.kp == 0:
+            problems.append(f"joint {joint.name}: kp is 0, a position target would do nothing")
     for term in bundle.terms:
         if term.size != sizes[term.source]:
             problems.append(f"term {term.name}: size {term.size}, but {term.source} has {sizes[term.source]}")

@@ -34,7 +34,7 @@ class ControllerConfig:
     """Timing and thresholds.
 
     Attributes:
-        stand_up_s: Time to go from the measured joint angles to the stance, s.
+        stand_up_s: Time to go from the measured joint angles and torques to the stance, s.
         hold_s: Time to stand still there, s.
         ramp_in_s: Time over which targets go from the stance to those of the policy, s.
         guards: Thresholds of the guards.
@@ -153,7 +153,9 @@ class Controller:
     def _advance(self, state: RobotState) -> None:
         """Move the state machine on by one tick."""
         if self._mode is Mode.IDLE:
-            self._mode, self._elapsed, self._from = Mode.STAND_UP, 0, state.q
+            self._mode, self._elapsed = Mode.STAND_UP, 0
+            # The target that gives the torque of this instant: a robot that stands does not sag.
+            self._from = state.q + state.tau / self._kp
         elif self._mode is Mode.STAND_UP and self._elapsed >= self._stand_ticks + self._hold_ticks:
             self._mode, self._elapsed = Mode.RAMP_IN, 0
             self._policy.reset()
