@@ -44,8 +44,6 @@ def test_every_required_key_is_required(folder):
     for path in walk(intact):
         if not path or isinstance(path[-1], int) or path[0] in ("files", "training") or path in optional:
             continue
-        if path[0] == "training":
-            continue
         manifest = copy.deepcopy(intact)
         parent = manifest
         for key in path[:-1]:
