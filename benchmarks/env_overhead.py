@@ -15,11 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 import tyro
-from legged_codesign.provenance import provenance
 from locorl import LeggedEnv, TaskConfig, sample_designs
 from locorl.cpu import available_cores
 from locorl.providers import find_factory
 from mujoco.batch import Batch
+
+from legged_codesign.provenance import provenance
 
 NOISE = 0.15
 

@@ -24,7 +24,9 @@ def test_alone(package: str, folder: Path) -> bool:
         subprocess.run((*install, "torch"), check=True)
     subprocess.run((*install, requirement), check=True)
     others = SIBLINGS - {package}
-    check = f"import importlib.util as u; found = [m for m in {sorted(others)} if u.find_spec(m)]; assert not found, found"
+    check = (
+        f"import importlib.util as u; found = [m for m in {sorted(others)} if u.find_spec(m)]; assert not found, found"
+    )
     subprocess.run((python, "-c", check), check=True, cwd=folder)
     # run from elsewhere, so that the installed package is tested and not the checkout
     command = (python, "-m", "pytest", "-q", "-c", ROOT / "pyproject.toml", ROOT / "tests" / package)

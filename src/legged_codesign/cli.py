@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from deploy import DeployError
 from rich.console import Console
+from rich.markup import escape
 
 from legged_codesign.config import Objective, RunConfig
 from legged_codesign.presets import preset
@@ -123,8 +125,8 @@ def main() -> None:
     except KeyboardInterrupt:
         console.print("\nstopped; the same command goes on from here")
         sys.exit(130)
-    except (OSError, RuntimeError, ValueError, LookupError) as error:
+    except (OSError, RuntimeError, ValueError, LookupError, DeployError) as error:
         if os.environ.get("CODESIGN_TRACEBACK"):
             raise
-        console.print(f"[red]error:[/red] {error}", highlight=False, soft_wrap=True)
+        console.print(f"[red]error:[/red] {escape(str(error))}", highlight=False, soft_wrap=True)
         sys.exit(1)

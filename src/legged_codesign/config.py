@@ -47,7 +47,7 @@ class ScoreConfig:
     """Commanded forward speed, m/s."""
     seconds: float = 10.0
     """Length of an episode, s."""
-    robots: int = 64
+    robots: int = 32
     """Robots, which start from different joint angles."""
     max_error: float = 0.1
     """Mean tracking error beyond this is penalised, m/s."""

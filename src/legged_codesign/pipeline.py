@@ -96,12 +96,14 @@ def run(config: RunConfig, folder: Path, console: Console | None = None) -> File
 
     Raises:
         RunError: the folder belongs to another configuration, is in use or cannot be written to.
+        LookupError: no installed package knows the robot.
+        ValueError: bounds or fixed values do not fit the robot.
     """
-    console = console or Console()
     files = Files(folder)
+    planned = _Run(config, files, console or Console())  # what cannot work must not claim the folder
     with locked(folder):
         _bind(folder, config)
-        return _Run(config, files, console).go()
+        return planned.go()
 
 
 def _bind(folder: Path, config: RunConfig) -> None:
@@ -109,10 +111,7 @@ def _bind(folder: Path, config: RunConfig) -> None:
     path = folder / "config.yaml"
     mine = to_dict(config)
     if path.exists():
-        try:
-            theirs = yaml.safe_load(path.read_text(encoding="utf-8"))["config"]
-        except (yaml.YAMLError, KeyError, TypeError) as error:
-            raise RunError(f"{path} is damaged ({error}); restore it or choose another --folder") from error
+        theirs = _stored_config(path)
         changes = differences(theirs, mine)
         if changes:
             raise RunError(
@@ -127,12 +126,22 @@ def read_config(folder: Path) -> RunConfig:
     """The configuration of a run folder.
 
     Raises:
-        RunError: the folder holds no run.
+        RunError: the folder holds no run, or its configuration is damaged.
     """
     path = folder / "config.yaml"
     if not path.is_file():
         raise RunError(f"{folder} holds no run: {path} is missing")
-    return from_dict(RunConfig, yaml.safe_load(path.read_text(encoding="utf-8"))["config"])
+    return from_dict(RunConfig, _stored_config(path))
+
+
+def _stored_config(path: Path) -> Mapping[str, Any]:
+    try:
+        config = yaml.safe_load(path.read_text(encoding="utf-8"))["config"]
+        if not isinstance(config, Mapping):
+            raise TypeError("no settings under 'config'")
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise RunError(f"{path} is damaged ({error}); restore it or choose another --folder") from error
+    return config
 
 
 class _Run:
@@ -145,6 +154,20 @@ class _Run:
         space = BoxSpace.box(list(nominal.names), list(nominal.low), list(nominal.high), list(nominal.nominal))
         space = space.with_bounds({name: (low, high) for name, low, high in config.bounds})
         self.space = space.fix(dict(config.fixed))
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse at once what would fail after minutes of work."""
+        robot, mine = self.factory.space, self.space.parameters
+        for parameter, low, high in zip(mine, robot.low, robot.high, strict=True):
+            if parameter.low < low or parameter.high > high:
+                raise ValueError(
+                    f"bounds [{parameter.low:g}, {parameter.high:g}] of {parameter.name} leave the range "
+                    f"[{low:g}, {high:g}] of '{self.factory.name}'; narrow --bounds"
+                )
+        if not self._feasible(self.space.designs([self.space.nominal])).all():
+            raise ValueError(f"the body {self.space.nominal} has no stance; choose other values for --fix")
+        self._shipped()
 
     def go(self) -> Files:
         """Do all stages."""
@@ -163,7 +186,13 @@ class _Run:
             Stage(
                 "search", part(*search), [files.generalist, files.screening], [files.study, files.trials], self.search
             ),
-            Stage("confirm", part(*search), [files.generalist, files.trials], [files.choice, teacher], self.confirm),
+            Stage(
+                "confirm",
+                part(*search),
+                [files.generalist, files.trials],
+                [files.choice, teacher, folder / "best.urdf"],
+                self.confirm,
+            ),
             Stage(
                 "distil",
                 part("imitation", "student", "distill_envs", "deploy"),
@@ -209,7 +238,9 @@ class _Run:
     def pretrain(self) -> None:
         """Train the generalist here, or take the shipped one."""
         if self.config.from_scratch:
-            Trainer(self.factory, self.config.pretrain, self.files.generalist.parent).run("pre-train")
+            trainer = Trainer(self.factory, self.config.pretrain, self.files.generalist.parent)
+            trainer.run("pre-train")
+            trainer.policy().save(self.files.generalist)  # a finished training does not write it again
         else:
             load_policy(shipped_policy(self.config.robot)).save(self.files.generalist)
 
