@@ -99,8 +99,8 @@ class CpuSimulator(Simulator):
 
     def set_state(self, ids: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Simulator.set_state`."""
-        rows = ids.numpy()
-        self._batch.reset(rows.astype(np.int32), stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        rows = np.sort(ids.numpy()).astype(np.int32)  # `Batch` takes only sorted ones
+        self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self.qpos[ids] = qpos.to(self.qpos.dtype)
         self.qvel[ids] = qvel.to(self.qvel.dtype)
 
