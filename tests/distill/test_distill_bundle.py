@@ -180,7 +180,11 @@ def test_a_changed_file_is_named(bundle, name):
         verify_bundle(bundle)
 
 
-def test_missing_parts_are_named(bundle):
+def test_missing_and_added_parts_are_named(bundle):
+    (bundle / "extra.bin").touch()
+    with pytest.raises(BundleError, match=r"holds extra\.bin"):
+        verify_bundle(bundle)
+    (bundle / "extra.bin").unlink()
     (bundle / "robot.urdf").unlink()
     with pytest.raises(BundleError, match=r"robot\.urdf: missing"):
         verify_bundle(bundle)
@@ -291,7 +295,12 @@ def test_a_runtime_that_disagrees_stops_the_export(spec, student, tmp_path, monk
 def test_specifications_that_contradict_themselves_are_refused(spec):
     joints, terms = spec.joints, spec.observation
     for changes, message in (
-        ({"joints": joints[:11]}, "has 11"),
+        ({"joints": joints[:11]}, "11 joints are listed"),
+        ({"joints": (replace(joints[0], stance=3.0), *joints[1:])}, "stance 3.0 is outside"),
+        ({"joints": (replace(joints[0], kp=0.0), *joints[1:])}, "does nothing"),
+        ({"command_low": (2.0, 0.0, 0.0)}, "upside down"),
+        ({"physics_dt": 0.003}, "does not divide"),
+        ({"start_quat_wxyz": (1.0, 1.0, 0.0, 0.0)}, "not a unit quaternion"),
         ({"joints": (*joints[:11], joints[0])}, "joint FL_hip_joint is listed more than once"),
         ({"joints": (replace(joints[0], kp=float("nan")), *joints[1:])}, "'FL_hip_joint': kp is nan"),
         ({"observation": (replace(terms[0], source="lidar"),)}, "'lidar' is none of"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Literal, TypeAlias
 
@@ -121,28 +121,45 @@ class BundleSpec:
         return sum(term.size for term in self.observation)
 
     def __post_init__(self) -> None:
+        for problem in (*self._joint_problems(), *self._term_problems(), *self._other_problems()):
+            raise BundleError(f"bundle '{self.name}': {problem}")
+
+    def _joint_problems(self) -> Iterator[str]:
         if len(self.joints) != ACTIONS:
-            raise BundleError(f"a bundle lists {ACTIONS} joints; BundleSpec.joints has {len(self.joints)}")
-        for what, names in (
-            ("joint", [joint.name for joint in self.joints]),
-            ("actuator", [joint.actuator for joint in self.joints]),
-            ("observation term", [term.name for term in self.observation]),
-        ):
-            if repeated := sorted({name for name in names if names.count(name) > 1}):
-                raise BundleError(f"{what} {', '.join(repeated)} is listed more than once")
-        for term in self.observation:
-            if term.source not in SOURCE_SIZES:
-                known = ", ".join(SOURCE_SIZES)
-                raise BundleError(f"observation term '{term.name}': source '{term.source}' is none of {known}")
-            if isinstance(term.scale, Sequence) and len(term.scale) != term.size:
-                raise BundleError(
-                    f"observation term '{term.name}' has {len(term.scale)} scales for {term.size} elements"
-                )
+            yield f"{len(self.joints)} joints are listed, expected {ACTIONS}"
+        yield from _repeated("joint", [joint.name for joint in self.joints])
+        yield from _repeated("actuator", [joint.actuator for joint in self.joints])
         for joint in self.joints:
             for item in fields(joint):
                 value = getattr(joint, item.name)
                 if isinstance(value, float) and not math.isfinite(value):
-                    raise BundleError(f"joint '{joint.name}': {item.name} is {value}")
+                    yield f"joint '{joint.name}': {item.name} is {value}"
+            if not joint.lower <= joint.stance <= joint.upper:
+                yield f"joint '{joint.name}': stance {joint.stance} is outside [{joint.lower}, {joint.upper}]"
+            if joint.kp <= 0.0:
+                yield f"joint '{joint.name}': kp is {joint.kp}, with which a position target does nothing"
+
+    def _term_problems(self) -> Iterator[str]:
+        yield from _repeated("observation term", [term.name for term in self.observation])
+        for term in self.observation:
+            if term.source not in SOURCE_SIZES:
+                yield f"observation term '{term.name}': '{term.source}' is none of {', '.join(SOURCE_SIZES)}"
+            elif isinstance(term.scale, Sequence) and len(term.scale) != term.size:
+                yield f"observation term '{term.name}' has {len(term.scale)} scales for {term.size} elements"
+
+    def _other_problems(self) -> Iterator[str]:
         for name in ("urdf", "robot_xml", "scene_xml"):
             if not getattr(self, name).strip():
-                raise BundleError(f"BundleSpec.{name} is empty; give the text of the file")
+                yield f"{name} is empty; give the text of the file"
+        if any(low > high for low, high in zip(self.command_low, self.command_high, strict=True)):
+            yield f"command range is upside down: {self.command_low} to {self.command_high}"
+        substeps = 1.0 / (self.policy_hz * self.physics_dt)
+        if not math.isclose(substeps, round(substeps), abs_tol=1e-6):
+            yield f"physics_dt {self.physics_dt} s does not divide the policy period 1/{self.policy_hz} s"
+        if not math.isclose(math.hypot(*self.start_quat_wxyz), 1.0, abs_tol=1e-6):
+            yield f"start_quat_wxyz {self.start_quat_wxyz} is not a unit quaternion"
+
+
+def _repeated(what: str, names: list[str]) -> Iterator[str]:
+    for name in sorted({name for name in names if names.count(name) > 1}):
+        yield f"{what} {name} is listed more than once"

@@ -65,6 +65,8 @@ def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
     named = [robot["urdf"], robot["mjcf"], robot["scene"], policy["file"], manifest["golden"]["file"]]
     if unlisted := {*named, policy.get("torchscript", policy["file"])} - set(manifest["files"]):
         raise BundleError(f"{folder / MANIFEST}: gives no hash for {', '.join(sorted(unlisted))}")
+    if added := {path.name for path in folder.iterdir()} - set(manifest["files"]) - {MANIFEST}:
+        raise BundleError(f"{folder}: holds {', '.join(sorted(added))}, which {MANIFEST} does not list")
     for name, expected in manifest["files"].items():
         path = folder / name
         if not path.is_file():
