@@ -39,7 +39,7 @@ class Run:
     trials: int | None = None
     """Bodies to fine-tune in the search; None keeps the preset's number."""
     from_scratch: bool = False
-    """Pre-train here instead of starting from the shipped generalist (some 20 minutes more)."""
+    """Pre-train here instead of starting from the shipped generalist (some 10 minutes more)."""
     folder: Path | None = None
     """Run folder; by default runs/<preset>-<robot>-<objective>."""
 

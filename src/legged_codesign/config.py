@@ -38,6 +38,12 @@ class SearchConfig:
     repeats: int = 3
     """... on this many fresh seeds, which all share."""
 
+    def __post_init__(self) -> None:
+        """Refuse a search that ends without a comparison."""
+        for name, least in (("trials", 2), ("initial", 1), ("confirm", 1), ("repeats", 2)):
+            if getattr(self, name) < least:
+                raise ValueError(f"SearchConfig.{name} is {getattr(self, name)}; it must be at least {least}")
+
 
 @dataclass(frozen=True)
 class ScoreConfig:
@@ -98,3 +104,8 @@ class RunConfig:
     student: distill.StudentConfig = field(default_factory=distill.StudentConfig)
     distill_envs: int = 256
     deploy: DeployConfig = field(default_factory=DeployConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse what no random stream can start from."""
+        if self.seed < 0:
+            raise ValueError(f"the seed is {self.seed}; it must not be negative")

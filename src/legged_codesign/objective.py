@@ -11,8 +11,8 @@ from legged_codesign.config import Objective, ScoreConfig
 CAP = 2.0
 """Cost of transport of a robot that fell or did not get anywhere; a walking Go2 has about 0.3."""
 
-PENALTY = 10.0
-"""A cost grows by this fraction for each m/s of tracking error beyond the limit."""
+PENALTY = 3.0
+"""Cost of transport that each m/s of tracking error beyond the limit adds; 0.1 m/s doubles that of a walker."""
 
 UNITS = {"return": "return", "energy": "J", "cost-of-transport": "cost of transport"}
 
@@ -33,9 +33,9 @@ def robot_scores(result: Evaluation, objective: Objective, score: ScoreConfig) -
     """Score of each robot, (B, R); higher is better.
 
     `return` is eq. 9. The two costs are negated. Cost of transport is positive joint work over weight and
-    way; energy is positive joint work in joules over the episode (eq. 10 times the time step). Either is
-    multiplied by 1 + PENALTY (error - limit) where the tracking error exceeds the limit, and a robot that
-    fell, or is worse than CAP, counts CAP: standing still or falling early does not pay.
+    way; energy is positive joint work in joules over the episode (eq. 10 times the time step). PENALTY times
+    the tracking error beyond the limit is added to either, and a robot that fell, or is worse than CAP, counts
+    CAP: standing still or falling early does not pay.
     """
     if objective == "return":
         return result.returns
@@ -43,7 +43,7 @@ def robot_scores(result: Evaluation, objective: Objective, score: ScoreConfig) -
     way = result.command * score.seconds
     cost = result.cost_of_transport if objective == "cost-of-transport" else result.energy / (result.weight * way)
     excess = np.maximum(result.tracking_error - score.max_error, 0.0)
-    cost = np.minimum(np.where(result.survived, cost, CAP) * (1.0 + PENALTY * excess), CAP)
+    cost = np.minimum(np.where(result.survived, cost + PENALTY * excess, CAP), CAP)
     return -cost if objective == "cost-of-transport" else -cost * result.weight * way
 
 

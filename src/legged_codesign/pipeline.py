@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -267,6 +267,7 @@ class _Run:
         """Fine-tune and score bodies, proposed by screening and by the Gaussian process."""
         config = self.config
         rows = json.loads(self.files.screening.read_text(encoding="utf-8"))
+        self._own_trials()
         with self._study() as study:
             if not study.screening():
                 study.add_screening([row["params"] for row in rows], [row["score"] for row in rows])
@@ -285,6 +286,17 @@ class _Run:
                 for t in study.trials()
             ]
         write_text(self.files.trials, json.dumps(table, indent=1) + "\n")
+
+    def _own_trials(self) -> None:
+        """Trials of another generalist, left by an earlier version of this run, must not pass for this one's."""
+        note = self.files.folder / "trials" / "generalist.sha256"
+        mine = hashlib.sha256(self.files.generalist.read_bytes()).hexdigest()
+        if note.exists() and note.read_text(encoding="utf-8") != mine:
+            raise RunError(
+                f"the trials in {note.parent} started from another generalist than {self.files.generalist}; "
+                "restore that file or choose another --folder"
+            )
+        write_text(note, mine)
 
     def _tell(self, what: str, trial: Any) -> None:
         body = " ".join(f"{value:.3f}" for value in trial.params.values())
@@ -350,9 +362,7 @@ class _Run:
     def deploy(self) -> None:
         """Run the bundle in simulation at 50 Hz, log it, measure it."""
         files, config = self.files, self.config.deploy
-        partial = files.log.with_suffix(".partial.mcap")
-        summary = deploy.run(files.bundle, (config.speed, 0.0, 0.0), config.seconds, log=partial)
-        shutil.move(partial, files.log)
+        summary = deploy.run(files.bundle, (config.speed, 0.0, 0.0), config.seconds, log=files.log)
         write_text(files.folder / "rollout.json", json.dumps(summary.to_dict(), indent=1) + "\n")
         distance = "unknown" if summary.distance_m is None else f"{summary.distance_m:.2f}"
         self.console.print(

@@ -36,7 +36,10 @@ def preset(name: str, objective: Objective = "cost-of-transport") -> RunConfig:
 
 
 def _laptop() -> RunConfig:
-    return RunConfig(finetune=locorl.FinetuneConfig(command_vx=(0.4, 0.8)))
+    return RunConfig(
+        pretrain=locorl.TrainConfig(iterations=240),  # for --from-scratch; some 10 minutes on 2 cores
+        finetune=locorl.FinetuneConfig(command_vx=(0.4, 0.8)),
+    )
 
 
 def _smoke() -> RunConfig:

@@ -72,7 +72,7 @@ def _fingerprint(stage: Stage) -> str:
 def _read_mark(path: Path) -> str | None:
     try:
         return json.loads(path.read_text(encoding="utf-8"))["fingerprint"]
-    except (OSError, ValueError, KeyError):
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 

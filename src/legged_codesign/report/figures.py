@@ -45,7 +45,7 @@ def search_history(trials: Sequence[TrialRecord], objective: Objective) -> Figur
     _fit_to_walkers(ax, values)
     label(ax, "trial", UNITS[objective])
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.legend(frameon=False, fontsize=8.5, ncols=3)
+    made.legend(frameon=False, fontsize=8.5, ncols=5, loc="outside upper left")
     return made
 
 
@@ -174,7 +174,7 @@ def joint_power(motion: Motion) -> Figure:
         colors=[NOMINAL, BEST, ACCENT],
         linewidth=0,
     )
-    top.legend(frameon=False, fontsize=8.5, ncols=3, loc="upper right")
+    made.legend(frameon=False, fontsize=8.5, ncols=3, loc="outside upper left")
     label(top, "time, s (first 6 s)", "positive power, W")
     step = float(np.median(np.diff(motion.time)))
     bottom.plot(motion.time, np.cumsum(positive.sum(axis=1)) * step, color=INK)

@@ -65,7 +65,7 @@ def read_motion(log: Path) -> Motion:
 
 
 def load_scene(path: Path) -> mujoco.MjModel:
-    """The bundle's scene, with an off-screen buffer large enough for a video."""
+    """The bundle's scene, with buffers large enough for a video."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 720
     return spec.compile()

@@ -65,6 +65,8 @@ def rendered_frames(model: mujoco.MjModel, motion: Motion) -> Iterator[Frame]:
             mujoco.mj_forward(model, data)
             camera.lookat[:] = (motion.qpos[index, 0], motion.qpos[index, 1], 0.22)
             renderer.update_scene(data, camera)
+            # a sun over an endless floor gives a ragged shadow
+            renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
             yield renderer.render()
 
 

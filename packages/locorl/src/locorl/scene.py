@@ -52,6 +52,15 @@ def flat_scene(physics: PhysicsConfig) -> mujoco.MjSpec:
     option.iterations = physics.solver_iterations
     option.ls_iterations = physics.linesearch_iterations
     spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.93, 0.95, 0.97],
+        rgb2=[0.62, 0.72, 0.83],
+        width=128,
+        height=128,
+    )
+    spec.add_texture(
         name="grid",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
