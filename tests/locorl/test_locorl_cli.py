@@ -1,0 +1,121 @@
+"""The command `locorl`, through `main()`."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import locorl.cli
+import locorl.providers
+import numpy as np
+import pytest
+from locorl import load_policy
+from locorl_box import BoxQuadruped
+
+NETWORK = ["--network.actor", "16", "--network.critic", "16", "--network.encoder", "8", "--network.latent", "4"]
+TRAIN = ["--num-envs", "8", "--ppo.steps", "6", "--ppo.epochs", "1", "--ppo.minibatches", "2", "--robot", "box", *NETWORK]
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    monkeypatch.setattr(sys, "argv", ["locorl", *map(str, arguments)])
+    monkeypatch.setattr(locorl.cli, "find_factory", lambda robot: BoxQuadruped(robot))
+    locorl.cli.main()
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    with pytest.MonkeyPatch.context() as patch:
+        run(patch, "train", folder, "--iterations", 2, *TRAIN)
+    return folder
+
+
+def test_help_lists_the_commands(monkeypatch, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        run(monkeypatch, "--help")
+    text = capsys.readouterr().out
+    assert all(command in text for command in ("train", "finetune", "evaluate"))
+
+
+def test_train_and_resume(monkeypatch, capsys, trained):
+    assert load_policy(trained / "policy.pt").card.samples == 2 * 48
+    run(monkeypatch, "train", trained, "--iterations", 3, *TRAIN)
+    assert load_policy(trained / "policy.pt").card.samples == 3 * 48
+    out = capsys.readouterr().out
+    assert "8 robots x 6 steps x 3 iterations" in out
+
+
+def test_evaluate_prints_json(monkeypatch, capsys, trained):
+    protocol = ["--evaluation.seconds", 0.4, "--evaluation.settle", 0.1, "--robot", "box"]
+    run(monkeypatch, "evaluate", trained / "policy.pt", "--bodies", 3, "--json", *protocol)
+
+    def refuse(constant: str) -> None:
+        raise ValueError(f"{constant} is not JSON")
+
+    result = json.loads(capsys.readouterr().out, parse_constant=refuse)
+    assert result["summary"]["robots"] == len(result["robots"]) == 3
+    assert result["protocol"]["seconds"] == 0.4
+    mean = np.mean([row["tracking_error"] for row in result["robots"]])
+    assert result["summary"]["tracking_error"] == pytest.approx(mean)
+    assert all(len(row["design"]) == 4 for row in result["robots"])
+    assert result["summary"]["cost_of_transport"] is None  # in 0.4 s nobody gets anywhere
+
+
+def test_evaluate_one_design_as_a_table(monkeypatch, capsys, trained):
+    protocol = ["--evaluation.seconds", 0.4, "--evaluation.settle", 0.1, "--robot", "box"]
+    run(monkeypatch, "evaluate", trained / "policy.pt", "--design", 1, 1, 1, 1, *protocol)
+    out = capsys.readouterr().out
+    assert "policy.pt" in out
+    assert "tracking error" in out
+
+
+def test_finetune_prints_both_policies(monkeypatch, capsys, trained, tmp_path):
+    budget = ["--config.num-envs", 8, "--config.iterations", 1, "--config.ppo.steps", 4]
+    score = ["--evaluation.seconds", 0.4, "--evaluation.settle", 0.1, "--evaluation.robots-per-body", 2]
+    run(monkeypatch, "finetune", trained / "policy.pt", tmp_path, "--design", 1, 1.2, 1, 1, "--robot", "box", *budget, *score)
+    out = capsys.readouterr().out
+    assert "generalist" in out
+    assert "fine-tuned" in out
+    assert load_policy(tmp_path / "policy.pt").card.robot == "box"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["evaluate", "nowhere.pt"], "no checkpoint at nowhere.pt"),
+        (["train", "{run}", "--iterations", 2, "--seed", 5, *TRAIN], "seed: 0 -> 5"),
+        (["evaluate", "{run}/policy.pt", "--robot", "crate"], "cannot control 'crate'"),
+        (["finetune", "{run}/policy.pt", "{run}/x", "--design", 2, 1, 1, 1, "--robot", "box"], "front_thigh=2 not in"),
+    ],
+)
+def test_errors_are_one_message_and_a_status(monkeypatch, capsys, trained, arguments, message):
+    with pytest.raises(SystemExit, match="1"):
+        run(monkeypatch, *(str(argument).replace("{run}", str(trained)) for argument in arguments))
+    out = " ".join(capsys.readouterr().out.split())
+    assert out.startswith("error:")
+    assert message in out
+
+
+class EntryPoint:
+    name = "box"
+
+    def load(self) -> type[BoxQuadruped]:
+        return BoxQuadruped
+
+
+@pytest.mark.parametrize(("installed", "known"), [([], "none"), ([EntryPoint()], "box")])
+def test_an_unknown_robot_names_the_package_to_install(monkeypatch, installed, known):
+    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: installed if group == "legged.bodies" else [])
+    message = rf"no robot 'wolf' \(installed: {known}\).*pip install legged-morphgen"
+    with pytest.raises(LookupError, match=message):
+        locorl.providers.find_factory("wolf")
+
+
+def test_providers_find_robots_by_entry_point(monkeypatch, trained):
+    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: [EntryPoint()])
+    one = locorl.providers.make_env("box", num_envs=2, design=(1.0, 1.2, 1.0, 1.2))
+    np.testing.assert_array_equal(one.bodies.designs, [(1.0, 1.2, 1.0, 1.2)] * 2)
+    many = locorl.providers.make_env("box", num_envs=3, seed=1)
+    assert len(np.unique(many.bodies.designs, axis=0)) == 3
+    teacher = locorl.providers.load_teacher(trained / "policy.pt")
+    assert teacher.act(many.reset()).shape == (3, 12)
