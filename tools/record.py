@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from legged_codesign.choice import Choice
-from legged_codesign.pipeline import read_config
+from legged_codesign.run_folder import read_config
 
 RESULTS = Path(__file__).parents[1] / "results"
 KEPT = ("config.yaml", "trials.json", "choice.json", "rollout.json", "metrics.jsonl", "student/comparison.json")

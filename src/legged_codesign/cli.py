@@ -82,9 +82,9 @@ class Report:
 
     def run(self) -> None:
         """Write it."""
-        from legged_codesign.pipeline import read_config
         from legged_codesign.report.render import write_report
         from legged_codesign.robots import body_factory
+        from legged_codesign.run_folder import read_config
 
         config = read_config(self.folder)
         console.print(str(write_report(self.folder, config, body_factory(config.robot))), soft_wrap=True)
