@@ -1,0 +1,110 @@
+"""Kill a run anywhere, start the same command again: the same result as a run that nothing disturbed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+RETURN = ("--objective", "return")
+SAME = ("trials.json", "choice.json", "best.urdf", "screening.json")
+
+
+def start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
+    """Start a run in a process group of its own, as a terminal does."""
+    with log.open("wb") as file:
+        return subprocess.Popen(arguments, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+
+
+def wait_for(path: Path, process: subprocess.Popen[bytes], log: Path, seconds: float = 300.0) -> None:
+    """Wait until the run has written `path`."""
+    deadline = time.monotonic() + seconds
+    while not path.exists():
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < deadline, f"{path} did not appear: {log.read_text()}"
+        time.sleep(0.02)
+
+
+def kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill -9 the run with all its children."""
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def deployed(folder: Path) -> dict[str, object]:
+    """What the student did; the bundle's hash is left out, since its manifest has a date."""
+    rollout = json.loads((folder / "rollout.json").read_text())
+    del rollout["bundle_sha256"]
+    return rollout
+
+
+def test_the_comparison_can_fail(finished_return) -> None:
+    """Were all scores alike, a resumed run would look like the first whatever it did."""
+    assert finished_return.code == 0, finished_return.output
+    trials = json.loads((finished_return.folder / "trials.json").read_text())
+    assert len({t["result"]["mean"] for t in trials}) == len(trials)
+
+
+@pytest.mark.parametrize(
+    ("appears", "not_yet"),
+    [
+        pytest.param("trials/0001/result.json", "trials.json", id="search"),
+        pytest.param("pretrain/checkpoint.pt", "screening.json", id="pretrain", marks=pytest.mark.slow),
+        pytest.param("trials/0000/confirm/00/result.json", "choice.json", id="confirm", marks=pytest.mark.slow),
+        pytest.param("student/checkpoint.pt", "bundle", id="distil", marks=pytest.mark.slow),
+        pytest.param("rollout.partial.partial.mcap", "rollout.json", id="deploy", marks=pytest.mark.slow),
+        pytest.param("stages/deploy.json", "report.html", id="report", marks=pytest.mark.slow),
+    ],
+)
+def test_kill_and_resume(
+    appears: str, not_yet: str, finished_return, run_smoke: Callable, smoke_command: Callable, tmp_path: Path
+) -> None:
+    folder, log = tmp_path / "run", tmp_path / "output.txt"
+    process = start(smoke_command(folder, *RETURN), log)
+    wait_for(folder / appears, process, log)
+    kill(process)
+    assert not (folder / not_yet).exists(), "killed too late to prove anything"
+
+    resumed = run_smoke(folder, *RETURN)
+    assert resumed.code == 0, resumed.output
+    for name in SAME:
+        assert (folder / name).read_text() == (finished_return.folder / name).read_text(), name
+    assert deployed(folder) == deployed(finished_return.folder)
+    assert (folder / "report.html").exists()
+
+
+@pytest.mark.slow
+def test_killed_again_and_again(finished_return, run_smoke: Callable, smoke_command: Callable, tmp_path: Path) -> None:
+    """Each life of the run is 4 s longer than the one before."""
+    folder, log = tmp_path / "run", tmp_path / "output.txt"
+    seconds, lives = 4.0, 0
+    while not (folder / "choice.json").exists():
+        process = start(smoke_command(folder, *RETURN), log)
+        try:
+            process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            kill(process)
+        seconds, lives = seconds + 4.0, lives + 1
+    assert lives > 1
+    assert run_smoke(folder, *RETURN).code == 0
+    for name in SAME:
+        assert (folder / name).read_text() == (finished_return.folder / name).read_text(), name
+
+
+def test_ctrl_c_says_how_to_go_on(smoke_command: Callable, tmp_path: Path) -> None:
+    folder, log = tmp_path / "run", tmp_path / "output.txt"
+    process = start(smoke_command(folder), log)
+    wait_for(folder / "pretrain" / "config.json", process, log)
+    os.killpg(process.pid, signal.SIGINT)
+    assert process.wait(60) == 130
+    output = log.read_text()
+    assert "the same command goes on from here" in output
+    assert "Traceback" not in output
+    assert (folder / "config.yaml").exists()
+    assert not (folder / "stages" / "search.json").exists()
