@@ -85,7 +85,9 @@ def box_spec(design: np.ndarray, scene: mujoco.MjSpec | None = None) -> mujoco.M
         middle = [0, 0, -shank_length / 2]
         calf = link(thigh, f"{prefix}_calf", at, [0, 1, 0], [0.01, 0.01, shank_length / 2], middle, 0.3 * shank_scale)
         ball = mujoco.mjtGeom.mjGEOM_SPHERE
-        calf.add_geom(name=f"{prefix}_foot", type=ball, size=[RADIUS, 0, 0], pos=end, mass=0.04, contype=1, conaffinity=0)
+        calf.add_geom(
+            name=f"{prefix}_foot", type=ball, size=[RADIUS, 0, 0], pos=end, mass=0.04, contype=1, conaffinity=0
+        )
         calf.add_site(name=f"{prefix}_foot", pos=end)
 
     layout = BoxLayout()

@@ -174,7 +174,7 @@ def test_impossible_designs_are_refused(factory, generalist, design, message):
 
 def test_a_policy_refuses_bodies_that_it_does_not_know(factory, generalist, tiny):
     generalist.check_space("box", factory.space)
-    with pytest.raises(ValueError, match="trained on 'box'.*cannot control 'crate'"):
+    with pytest.raises(ValueError, match=r"trained on 'box'.*cannot control 'crate'"):
         generalist.check_space("crate", factory.space)
     with pytest.raises(ValueError, match=r"cannot control 'box' with \('length',\)"):
         generalist.check_space("box", replace(Space(), names=("length",)))
@@ -197,13 +197,15 @@ def test_a_policy_comes_back_from_its_file(factory, designs, generalist, tmp_pat
 
 
 def test_sampled_designs_are_feasible_uniform_and_seeded(factory):
-    drawn = sample_designs(factory, 200, np.random.default_rng(0))
-    assert drawn.shape == (200, 4)
+    drawn = sample_designs(factory, 80, np.random.default_rng(0))
+    assert drawn.shape == (80, 4)
     assert feasible(factory, drawn).all()
-    assert np.abs(drawn.mean(axis=0) - 1.0).max() < 0.06  # the mean of 200 draws has a standard error of 0.016
+    assert np.abs(drawn.mean(axis=0) - 1.0).max() < 0.1  # the mean of 80 draws has a standard error of 0.026
     assert drawn.min() < 0.62
     assert drawn.max() > 1.38
-    np.testing.assert_array_equal(drawn[:5], sample_designs(factory, 200, np.random.default_rng(0))[:5])
+    few = [sample_designs(factory, 4, np.random.default_rng(seed)) for seed in (0, 0, 1)]
+    np.testing.assert_array_equal(few[0], few[1])
+    assert (few[0] != few[2]).all()
 
 
 def test_a_space_without_feasible_bodies_is_named(factory):

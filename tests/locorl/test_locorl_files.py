@@ -19,7 +19,9 @@ from locorl.policy import PolicyCard
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
-@given(st.builds(TrainConfig, num_envs=st.integers(1), seed=st.integers(0), task=st.builds(TaskConfig, max_tilt=finite)))
+@given(
+    st.builds(TrainConfig, num_envs=st.integers(1), seed=st.integers(0), task=st.builds(TaskConfig, max_tilt=finite))
+)
 def test_a_configuration_comes_back(config):
     text = json.dumps(to_dict(config))
     assert from_dict(TrainConfig, json.loads(text)) == config
@@ -31,7 +33,9 @@ def test_a_configuration_comes_back(config):
         replace(TrainConfig(), task=TaskConfig(reward=table_i())),  # an infinite cap
         FinetuneConfig(command_vx=(0.6, 0.6), specific_power=-1.0),
         FinetuneConfig(),
-        PolicyCard("box", ("a", "b"), (0.5, 0.6), (1.0, 2.0), {"proprio": 3}, TaskConfig(), TrainConfig().network, 7, 1),
+        PolicyCard(
+            "box", ("a", "b"), (0.5, 0.6), (1.0, 2.0), {"proprio": 3}, TaskConfig(), TrainConfig().network, 7, 1
+        ),
     ],
 )
 def test_nested_fields_and_tuples_come_back(config):

@@ -191,7 +191,7 @@ def test_gamma_reg_reaches_the_targets():
 
 
 def test_learning_reaches_the_target():
-    env, ppo = TargetEnv(64), make(PPOConfig(steps=16, learning_rate=3e-3, entropy=0.0), num_envs=64)
+    env, ppo = TargetEnv(64), make(PPOConfig(steps=12, learning_rate=3e-3, entropy=0.0), num_envs=64)
     obs = env.observe()
     test = {group: values.clone() for group, values in obs.items()}
 
@@ -201,7 +201,7 @@ def test_learning_reaches_the_target():
 
     before = error()
     first = None
-    for _ in range(40):
+    for _ in range(30):
         obs, stats = ppo.collect(env, obs)
         first = stats["reward"] if first is None else first
         losses = ppo.update()
@@ -222,8 +222,7 @@ def test_a_nan_loss_stops_training_before_it_harms_the_model():
     ppo.collect(env, env.observe())
     ppo.rollout.target[2, 1] = float("nan")
     with pytest.raises(DivergedError, match="not finite"):
-        for _ in range(5):
-            ppo.update()
+        ppo.update()
     assert all(parameter.isfinite().all() for parameter in ppo.model.parameters())
 
 

@@ -46,7 +46,12 @@ def whole(factory, tiny, tmp_path_factory) -> Path:
 
 
 def test_a_run_leaves_its_files(whole, tiny):
-    assert sorted(path.name for path in whole.iterdir()) == ["checkpoint.pt", "config.json", "metrics.jsonl", "policy.pt"]
+    assert sorted(path.name for path in whole.iterdir()) == [
+        "checkpoint.pt",
+        "config.json",
+        "metrics.jsonl",
+        "policy.pt",
+    ]
     rows = read_metrics(whole / "metrics.jsonl")
     assert [row["iteration"] for row in rows] == [1, 2, 3, 4]
     assert [row["samples"] for row in rows] == [48, 96, 144, 192]

@@ -12,6 +12,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from locorl.bodies import design_grid, feasible, sample_designs
@@ -141,7 +142,7 @@ def main() -> None:
     try:
         command.run()
     except (CheckpointError, DivergedError, LookupError, ValueError, OSError) as error:
-        console.print(f"[red]error:[/red] {error}", highlight=False)
+        console.print(f"[red]error:[/red] {escape(str(error))}", highlight=False)
         sys.exit(1)
     except KeyboardInterrupt:
         console.print("\nstopped; the same command goes on from the last checkpoint")
