@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from codesign_bo import EvalRequest, EvalResult
-from locorl import Evaluation, Policy, evaluate, finetune
+from locorl import CheckpointError, Evaluation, Policy, evaluate, finetune
 from locorl.interfaces import BodyFactory
 
 from legged_codesign.config import RunConfig
@@ -57,7 +57,10 @@ class FineTuneAndScore:
             },
             curve=tuple((row["samples"], row["reward"]) for row in tuned.curve),
         )
-        candidates[chosen].save(request.workdir / "policy.pt")
+        try:
+            candidates[chosen].save(request.workdir / "policy.pt")
+        except CheckpointError as error:  # a full disk must not pass for a body that cannot walk
+            raise OSError(str(error)) from error
         record = {"params": dict(request.params), "seed": request.seed, "result": json.loads(result.to_json())}
         write_text(request.workdir / "result.json", json.dumps(record, indent=1) + "\n")
         return result

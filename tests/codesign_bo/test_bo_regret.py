@@ -46,10 +46,10 @@ def regret_of_random(seed):
     return HARTMANN_BEST - hartmann4(x[int(np.argmax(observed))])
 
 
-def test_branin_is_solved_in_25_trials(tmp_path):
+def test_branin_is_solved_in_20_trials(tmp_path):
     space = BoxSpace.box(["a", "b"], [-5, 0], [10, 15], [2.5, 7.5])
     with Study(space, tmp_path / "s.sqlite", seed=0) as study:
-        study.run(lambda r: EvalResult(branin(list(r.params.values())), 0.0), until=25)
+        study.run(lambda r: EvalResult(branin(list(r.params.values())), 0.0), until=20)
         assert branin(list(study.best().params.values())) > -0.397887 - 0.3
 
 
@@ -57,5 +57,5 @@ def test_branin_is_solved_in_25_trials(tmp_path):
 def test_noisy_hartmann_regret_beats_random_search(tmp_path):
     ours = np.array([regret_of_study(tmp_path / f"{s}.sqlite", s) for s in range(8)])
     random = np.array([regret_of_random(s) for s in range(8)])
-    assert np.median(ours) <= 0.35
+    assert np.median(ours) <= 0.6 * np.median(random)
     assert np.sum(ours < random) >= 6

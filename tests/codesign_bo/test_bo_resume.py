@@ -99,8 +99,8 @@ def check(tmp_path: Path, kills: list[dict[str, int]]) -> int:
 
 
 def test_a_killed_study_resumes_to_the_same_table(tmp_path):
-    kills = [{"kill_at": k} for k in (1, 2, 3, 7, 8, 10, 24, 32)]
-    check(tmp_path, [*kills, {"kill_trial": 1}, {"kill_trial": 5}])
+    kills = [{"kill_at": k} for k in (1, 4, 7, 24, 31)]
+    check(tmp_path, [*kills, {"kill_trial": 5}])
 
 
 @pytest.mark.slow

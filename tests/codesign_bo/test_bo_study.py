@@ -230,3 +230,21 @@ def test_settings_out_of_range_are_refused(space, tmp_path):
         Study(space, tmp_path / "s.sqlite", n_init=0)
     with Study(space, tmp_path / "s.sqlite") as study, pytest.raises(StudyError, match="no trial"):
         study.best()
+
+
+def test_trouble_of_the_machine_leaves_the_trial_open(space, tmp_path):
+    calls = []
+
+    def evaluate(request):
+        calls.append(request)
+        if len(calls) == 2:
+            raise OSError(28, "No space left on device")
+        return EvalResult(mean=float(len(calls)), sem=0.1)
+
+    with Study(space, tmp_path / "study.sqlite", seed=3) as study:
+        with pytest.raises(OSError, match="No space left"):
+            study.run(evaluate, until=3)
+        assert [t.status for t in study.trials()] == ["ok", "unfinished"]
+    with Study(space, tmp_path / "study.sqlite", seed=3) as study:
+        assert [t.status for t in study.run(evaluate, until=3)] == ["ok"] * 3
+    assert (calls[2].trial, calls[2].params, calls[2].seed) == (calls[1].trial, calls[1].params, calls[1].seed)

@@ -150,7 +150,8 @@ class Study(StudyView):
         """Ask, evaluate and tell, one trial after the other, until `until` trials are finished.
 
         Args:
-            callback: Evaluates a design. What it raises is recorded as a `crash` of that trial.
+            callback: Evaluates a design. What it raises is recorded as a `crash` of that trial, except
+                OSError and MemoryError: those are the machine's, pass through, and leave the trial open.
             until: Total number of finished trials, failed and earlier ones included.
             progress: Called with each trial as it finishes.
             deadline: Unix time (s) to pass on to the evaluations.
@@ -303,6 +304,8 @@ def _evaluate(callback: Callback, request: EvalRequest) -> EvalResult:
     request.workdir.mkdir(parents=True, exist_ok=True)
     try:
         result = callback(request)
+    except (OSError, MemoryError):
+        raise  # a full disk is not the design's fault: the evaluation stays open
     except Exception as error:
         logger.warning("trial %d: the evaluation raised %r", request.trial, error)
         return EvalResult.failure("crash", traceback.format_exc()[-2000:])
