@@ -233,7 +233,7 @@ class _Run:
         callback = FineTuneAndScore(self.factory, self._generalist(), config)
         total = (search.confirm + 1) * search.repeats
         with self._study() as study:
-            done = len(study.confirmations())
+            done = sum(run.result is not None for run in study.confirmations())
 
             def tell(record: Any) -> None:
                 nonlocal done

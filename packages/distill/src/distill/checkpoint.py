@@ -17,7 +17,11 @@ FORMAT = 1
 
 
 def save(path: Path, payload: Mapping[str, object]) -> None:
-    """Write `payload` (tensors and plain Python values) to `path` atomically."""
+    """Write `payload` (tensors and plain Python values) to `path` atomically.
+
+    Raises:
+        CheckpointError: the disk is full or the folder cannot be written to; a file that was there stays.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.tmp")
     try:
@@ -26,9 +30,10 @@ def save(path: Path, payload: Mapping[str, object]) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, path)
-    except BaseException:
+    except (OSError, RuntimeError) as error:  # torch reports a full disk as a RuntimeError
+        raise CheckpointError(f"{path}: cannot be written ({error}); free the disk and start again") from error
+    finally:
         temporary.unlink(missing_ok=True)
-        raise
 
 
 def load(path: Path) -> dict[str, object]:

@@ -70,6 +70,8 @@ def export_bundle(out_dir: Path, student: Student, spec: BundleSpec, states: Raw
         _fill(staging, copy.deepcopy(student).cpu().eval(), spec, states)
         verify_bundle(staging)
         _replace(staging, out_dir)
+    except OSError as error:
+        raise BundleError(f"{out_dir}: cannot be written ({error}); free the disk and export again") from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     return out_dir
