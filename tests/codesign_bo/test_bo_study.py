@@ -152,11 +152,12 @@ def test_a_callback_that_returns_something_else_leaves_its_trial_open(study, bow
     assert study.trials()[0].status == "unfinished"
 
 
-def test_interrupts_pass_through_and_the_trial_is_dispatched_again(space, bowl, tmp_path):
+@pytest.mark.parametrize("fault", [KeyboardInterrupt, OSError, MemoryError])
+def test_faults_of_the_machine_pass_through_and_the_trial_is_dispatched_again(space, tmp_path, fault):
     def interrupted(request):
-        raise KeyboardInterrupt
+        raise fault
 
-    with Study(space, tmp_path / "s.sqlite") as study, pytest.raises(KeyboardInterrupt):
+    with Study(space, tmp_path / "s.sqlite") as study, pytest.raises(fault):
         study.run(interrupted, until=3)
     with Study(space, tmp_path / "s.sqlite") as study:
         (request,) = study.ask()

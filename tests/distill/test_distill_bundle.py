@@ -242,7 +242,7 @@ def test_a_failed_export_keeps_the_old_bundle(bundle, spec, student, monkeypatch
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(export_module, "write_manifest", fail)
-    with pytest.raises(BundleError, match="bundle: cannot be written .*No space left"):
+    with pytest.raises(BundleError, match=r"bundle: cannot be written .*No space left"):
         export_bundle(bundle, student, replace(spec, name="second"))
     verify_bundle(bundle)
     assert manifest_of(bundle)["name"] == "toy-walk"

@@ -184,7 +184,7 @@ def test_a_full_disk_keeps_the_checkpoint(make_env, teacher, tmp_path, monkeypat
         save(payload, file)
 
     monkeypatch.setattr(torch, "save", full)
-    with pytest.raises(CheckpointError, match="checkpoint.pt: cannot be written .*No space left"):
+    with pytest.raises(CheckpointError, match=r"checkpoint\.pt: cannot be written .*No space left"):
         run(make_env(), teacher, tmp_path)
     assert torch.load(tmp_path / "checkpoint.pt", weights_only=True)["iteration"] == 2
     assert {path.name for path in tmp_path.iterdir()} == {"checkpoint.pt", "metrics.jsonl"}
