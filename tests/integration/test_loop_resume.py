@@ -7,7 +7,8 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -16,25 +17,46 @@ RETURN = ("--objective", "return")
 SAME = ("trials.json", "choice.json", "best.urdf", "screening.json")
 
 
-def start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
-    """Start a run in a process group of its own, as a terminal does."""
-    with log.open("wb") as file:
-        return subprocess.Popen(arguments, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+Start = Callable[[list[str]], "Started"]
 
 
-def wait_for(path: Path, process: subprocess.Popen[bytes], log: Path, seconds: float = 300.0) -> None:
-    """Wait until the run has written `path`."""
-    deadline = time.monotonic() + seconds
-    while not path.exists():
-        assert process.poll() is None, log.read_text()
-        assert time.monotonic() < deadline, f"{path} did not appear: {log.read_text()}"
-        time.sleep(0.02)
+class Started:
+    """A run in a process group of its own, as a terminal makes one."""
+
+    def __init__(self, arguments: list[str], log: Path) -> None:
+        self.log = log
+        with log.open("wb") as file:
+            self.process = subprocess.Popen(arguments, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+
+    def wait_for(self, path: Path) -> None:
+        """Wait until the run has written `path`."""
+        while not path.exists():
+            assert self.process.poll() is None, f"ended without {path}: {self.log.read_text()}"
+            time.sleep(0.02)
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to the run and all its children."""
+        os.killpg(self.process.pid, number)
+
+    def kill(self) -> None:
+        """Kill -9, unless it has ended."""
+        if self.process.poll() is None:
+            self.send(signal.SIGKILL)
+            self.process.wait()
 
 
-def kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill -9 the run with all its children."""
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Starts runs; none outlives its test."""
+    runs: list[Started] = []
+
+    def begin(arguments: list[str]) -> Started:
+        runs.append(Started(arguments, tmp_path / "output.txt"))
+        return runs[-1]
+
+    yield begin
+    for run in runs:
+        run.kill()
 
 
 def deployed(folder: Path) -> dict[str, object]:
@@ -63,12 +85,18 @@ def test_the_comparison_can_fail(finished_return) -> None:
     ],
 )
 def test_kill_and_resume(
-    appears: str, not_yet: str, finished_return, run_smoke: Callable, smoke_command: Callable, tmp_path: Path
+    appears: str,
+    not_yet: str,
+    start: Start,
+    finished_return,
+    run_smoke: Callable,
+    smoke_command: Callable,
+    tmp_path: Path,
 ) -> None:
-    folder, log = tmp_path / "run", tmp_path / "output.txt"
-    process = start(smoke_command(folder, *RETURN), log)
-    wait_for(folder / appears, process, log)
-    kill(process)
+    folder = tmp_path / "run"
+    run = start(smoke_command(folder, *RETURN))
+    run.wait_for(folder / appears)
+    run.kill()
     assert not (folder / not_yet).exists(), "killed too late to prove anything"
 
     resumed = run_smoke(folder, *RETURN)
@@ -80,16 +108,16 @@ def test_kill_and_resume(
 
 
 @pytest.mark.slow
-def test_killed_again_and_again(finished_return, run_smoke: Callable, smoke_command: Callable, tmp_path: Path) -> None:
+def test_killed_again_and_again(
+    start: Start, finished_return, run_smoke: Callable, smoke_command: Callable, tmp_path: Path
+) -> None:
     """Each life of the run is 4 s longer than the one before."""
-    folder, log = tmp_path / "run", tmp_path / "output.txt"
-    seconds, lives = 4.0, 0
+    folder, seconds, lives = tmp_path / "run", 4.0, 0
     while not (folder / "choice.json").exists():
-        process = start(smoke_command(folder, *RETURN), log)
-        try:
-            process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            kill(process)
+        run = start(smoke_command(folder, *RETURN))
+        with suppress(subprocess.TimeoutExpired):
+            run.process.wait(seconds)
+        run.kill()
         seconds, lives = seconds + 4.0, lives + 1
     assert lives > 1
     assert run_smoke(folder, *RETURN).code == 0
@@ -97,13 +125,13 @@ def test_killed_again_and_again(finished_return, run_smoke: Callable, smoke_comm
         assert (folder / name).read_text() == (finished_return.folder / name).read_text(), name
 
 
-def test_ctrl_c_says_how_to_go_on(smoke_command: Callable, tmp_path: Path) -> None:
-    folder, log = tmp_path / "run", tmp_path / "output.txt"
-    process = start(smoke_command(folder), log)
-    wait_for(folder / "pretrain" / "config.json", process, log)
-    os.killpg(process.pid, signal.SIGINT)
-    assert process.wait(60) == 130
-    output = log.read_text()
+def test_ctrl_c_says_how_to_go_on(start: Start, smoke_command: Callable, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    run = start(smoke_command(folder))
+    run.wait_for(folder / "pretrain" / "config.json")
+    run.send(signal.SIGINT)
+    assert run.process.wait(60) == 130
+    output = run.log.read_text()
     assert "the same command goes on from here" in output
     assert "Traceback" not in output
     assert (folder / "config.yaml").exists()
