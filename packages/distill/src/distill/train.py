@@ -33,10 +33,10 @@ from distill.student import Student, StudentConfig, build_student
 class TrainConfig:
     """Hyperparameters of the imitation.
 
-    With 256 robots the defaults visit 295 k states, each of which is drawn about four times.
+    With 256 robots the defaults visit 393 k states.
     """
 
-    iterations: int = 48
+    iterations: int = 64
     """Rollouts, each followed by gradient steps."""
     rollout_steps: int = 24
     """Control steps per robot and rollout."""
@@ -46,9 +46,9 @@ class TrainConfig:
     """The teacher drives a share of the robots that falls linearly from 1 to 0 over these iterations."""
     ring_rollouts: int = 16
     """Rollouts that gradient steps draw from; older ones are dropped."""
-    updates: int = 48
+    updates: int = 16
     """Gradient steps per iteration."""
-    batch: int = 512
+    batch: int = 1024
     """States per gradient step."""
     learning_rate: float = 1e-3
     """Adam's rate at the first iteration."""
