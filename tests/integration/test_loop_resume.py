@@ -26,7 +26,14 @@ class Started:
     def __init__(self, arguments: list[str], log: Path) -> None:
         self.log = log
         with log.open("wb") as file:
-            self.process = subprocess.Popen(arguments, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
+            self.process = subprocess.Popen(
+                arguments,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                # a test session started in the background hands down an ignored Ctrl-C
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            )
 
     def wait_for(self, path: Path) -> None:
         """Wait until the run has written `path`."""
