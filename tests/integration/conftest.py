@@ -12,11 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from locorl import Policy, TrainConfig, Trainer
 from locorl.providers import find_factory
 from morphgen import BodyFactory
 
 from legged_codesign import cli
+
+# small networks: threads that wait for each other cost more than they do
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+torch.set_num_threads(1)
 
 SMOKE = ("run", "--preset", "smoke", "--folder")
 
