@@ -45,7 +45,9 @@ def _replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except (OSError, RuntimeError) as error:
-        raise CheckpointError(f"cannot write {path}: {error}; the previous file is untouched") from error
+        raise CheckpointError(
+            f"cannot write {path}: {error}; the previous file is untouched: free the disk and start again"
+        ) from error
     finally:
         Path(temporary).unlink(missing_ok=True)
 
