@@ -131,9 +131,7 @@ def pretraining(rows: Sequence[Mapping[str, float]]) -> Figure:
     return made
 
 
-def landscape(
-    slices: Mapping[str, Slice], trials: Sequence[TrialRecord], best: Mapping[str, float], objective: Objective
-) -> Figure:
+def landscape(slices: Mapping[str, Slice], best: Mapping[str, float], objective: Objective) -> Figure:
     """Posterior of the Gaussian process along each parameter, the others at the best body."""
     made, axes = figure(2.5 * max(2, len(slices)), 2.8, columns=len(slices))
     low = min(float((s.mean - 2 * s.std).min()) for s in slices.values())

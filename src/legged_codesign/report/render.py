@@ -42,7 +42,7 @@ def write_report(folder: Path, config: RunConfig, factory: BodyFactory) -> Path:
         "history": svg(figures.search_history(data.trials, objective)),
         "confirmation": svg(figures.confirmation(data.confirmations, data.gains, labels, objective)),
         "fine_tuning": svg(figures.fine_tuning(data.trials, objective)),
-        "landscape": svg(figures.landscape(data.slices, data.trials, data.choice.params, objective)),
+        "landscape": svg(figures.landscape(data.slices, data.choice.params, objective)),
         "screening": svg(figures.screening(data.screening, objective)),
         "power": svg(figures.joint_power(read_motion(folder / "rollout.mcap"))),
         "pretraining": svg(figures.pretraining(data.pretrain)) if data.pretrain else "",

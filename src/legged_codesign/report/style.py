@@ -41,13 +41,6 @@ def svg(made: Figure) -> str:
     return text[text.index("<svg") :]
 
 
-def png_uri(made: Figure, dpi: int = 130) -> str:
-    """A figure as a PNG data URI."""
-    buffer = io.BytesIO()
-    made.savefig(buffer, format="png", dpi=dpi)
-    return data_uri(buffer.getvalue(), "image/png")
-
-
 def data_uri(data: bytes, kind: str) -> str:
     """Bytes as a data URI, so that the page needs no other file."""
     return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
