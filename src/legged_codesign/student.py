@@ -16,7 +16,7 @@ from locorl.interfaces import Array
 from locorl.observation import locomotion_layout
 from locorl.task import TaskConfig
 from morphgen import BodyFactory
-from morphgen.mjcf import to_mjcf
+from morphgen.simulation.mjcf import to_mjcf
 
 from legged_codesign.config import DeployConfig, RunConfig
 from legged_codesign.provenance import current_commit, provenance

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from lxml import etree
 from morphgen import BodyFactory, go2
-from morphgen.description import build_urdf
 from morphgen.robots import GO2
+from morphgen.robots.description import build_urdf
 
 CORNERS = np.array(np.meshgrid(*[(0.6, 1.4)] * 4, indexing="ij")).reshape(4, -1).T
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from lxml import etree
 from morphgen import BodyFactory, MorphologyError
-from morphgen.legs import find_legs
-from morphgen.urdf import parse_urdf
+from morphgen.urdf.legs import find_legs
+from morphgen.urdf.xml import parse_urdf
 
 
 def test_legs_are_found_by_topology_whatever_their_names_and_order(go2_tree, as_text):

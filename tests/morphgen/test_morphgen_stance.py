@@ -8,7 +8,7 @@ import mujoco.batch
 import numpy as np
 import pytest
 from morphgen import BodyFactory
-from morphgen.stance import forward_kinematics, static_torque
+from morphgen.stance.solve import forward_kinematics, static_torque
 from numpy.testing import assert_allclose
 
 

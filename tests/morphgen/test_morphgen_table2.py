@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lxml import etree
 from morphgen import MorphologyError, go2, scale_urdf
-from morphgen.description import build_urdf
 from morphgen.robots import GO2
+from morphgen.robots.description import build_urdf
 from numpy.testing import assert_allclose
 
 FACTORY = go2()

@@ -9,8 +9,8 @@ from typing import Any
 import jinja2
 import numpy as np
 from morphgen import BodyFactory
-from morphgen.dimensions import dimensions
-from morphgen.drawing import draw_bodies
+from morphgen.views.dimensions import dimensions
+from morphgen.views.drawing import draw_bodies
 
 from legged_codesign.config import RunConfig
 from legged_codesign.objective import UNITS, physical

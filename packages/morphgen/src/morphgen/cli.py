@@ -10,13 +10,13 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from morphgen.dimensions import dimensions
-from morphgen.drawing import draw_bodies
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
 from morphgen.files import replacing, write_text
-from morphgen.mjcf import to_mjcf
 from morphgen.robots import load_robot
+from morphgen.simulation.mjcf import to_mjcf
+from morphgen.views.dimensions import dimensions
+from morphgen.views.drawing import draw_bodies
 
 Scales = tuple[float, float, float, float]
 

@@ -8,16 +8,16 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from morphgen.batch import BodyBatch, make_batch
-from morphgen.design import SCALE_NAMES, DesignSpace
 from morphgen.errors import MorphologyError
-from morphgen.layout import make_layout
-from morphgen.legs import find_legs
-from morphgen.model import Drive, build_spec
-from morphgen.skeleton import Array, Skeleton, read_skeleton
-from morphgen.stance import Stance, solve_stance
-from morphgen.table2 import scale_skeleton, scale_urdf
-from morphgen.urdf import parse_urdf
+from morphgen.scaling.design import SCALE_NAMES, DesignSpace
+from morphgen.scaling.table2 import scale_skeleton, scale_urdf
+from morphgen.simulation.batch import BodyBatch, make_batch
+from morphgen.simulation.layout import make_layout
+from morphgen.simulation.model import Drive, build_spec
+from morphgen.stance.skeleton import Array, Skeleton, read_skeleton
+from morphgen.stance.solve import Stance, solve_stance
+from morphgen.urdf.legs import find_legs
+from morphgen.urdf.xml import parse_urdf
 
 
 class BodyFactory:

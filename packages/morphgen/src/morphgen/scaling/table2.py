@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from morphgen.errors import MorphologyError
-from morphgen.legs import find_legs
-from morphgen.skeleton import Array, Skeleton, read_skeleton
-from morphgen.urdf import format_vector, named, parse_urdf, to_text
+from morphgen.stance.skeleton import Array, Skeleton, read_skeleton
+from morphgen.urdf.legs import find_legs
+from morphgen.urdf.xml import format_vector, named, parse_urdf, to_text
 
 SCALE_OF_SEGMENT = np.array([[0, 1], [0, 1], [2, 3], [2, 3]])
 """Index of the scale of (leg, thigh or shank): front thigh, front shank, hind thigh, hind shank."""

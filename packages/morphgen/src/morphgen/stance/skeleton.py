@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from morphgen.errors import MorphologyError
-from morphgen.legs import Leg, LegMap
-from morphgen.urdf import named, read_vector
+from morphgen.urdf.legs import Leg, LegMap
+from morphgen.urdf.xml import named, read_vector
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from morphgen.layout import Layout
-from morphgen.legs import LegMap
-from morphgen.model import Drive, collision_geom
-from morphgen.skeleton import Array, Skeleton
-from morphgen.stance import Stance
+from morphgen.simulation.layout import Layout
+from morphgen.simulation.model import Drive, collision_geom
+from morphgen.stance.skeleton import Array, Skeleton
+from morphgen.stance.solve import Stance
+from morphgen.urdf.legs import LegMap
 
 
 @dataclass(frozen=True)

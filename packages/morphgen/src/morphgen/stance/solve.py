@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from morphgen.errors import MorphologyError
-from morphgen.skeleton import Array, Skeleton
+from morphgen.stance.skeleton import Array, Skeleton
 
 GRAVITY = 9.81
 HEIGHT_RATIO = 0.75

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from morphgen.table2 import box_inertia
-from morphgen.urdf import format_vector
+from morphgen.scaling.table2 import box_inertia
+from morphgen.urdf.xml import format_vector
 
 LEGS = ("FL", "FR", "RL", "RR")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
-from morphgen.description import Cylinder, Inertial, JointLimit, QuadrupedDescription, Segment, build_urdf
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
+from morphgen.robots.description import Cylinder, Inertial, JointLimit, QuadrupedDescription, Segment, build_urdf
 
 _GO2_HIP_AND_THIGH = {"effort": 23.7, "velocity": 30.1}
 

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 import mujoco
 import numpy as np
 
-from morphgen.urdf import format_vector, parse_xml, to_text
+from morphgen.urdf.xml import format_vector, parse_xml, to_text
 
 _ROUNDING = 1e-5
 """MuJoCo writes six significant digits."""

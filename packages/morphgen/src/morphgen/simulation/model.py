@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from morphgen.layout import Layout
-from morphgen.legs import LegMap
-from morphgen.skeleton import Skeleton
+from morphgen.simulation.layout import Layout
+from morphgen.stance.skeleton import Skeleton
+from morphgen.urdf.legs import LegMap
 
 FLOOR = "floor"
 _PREFIX = "morphgen/"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 from morphgen.errors import MorphologyError
-from morphgen.urdf import named, read_vector
+from morphgen.urdf.xml import named, read_vector
 
 ACTUATED = ("revolute", "continuous")
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from morphgen.legs import LegMap
-from morphgen.skeleton import Skeleton
+from morphgen.stance.skeleton import Skeleton
+from morphgen.urdf.legs import LegMap
 
 IMU = {"gyro": "imu_gyro", "acc": "imu_acc", "quat": "imu_quat"}
 
