@@ -1,13 +1,14 @@
-"""Parametric description of a quadruped with box legs, and its URDF."""
+"""Parametric description of a quadruped, and its URDF."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
-from morphgen.scaling.table2 import box_inertia
 from morphgen.urdf.xml import format_vector
 
-LEGS = ("FL", "FR", "RL", "RR")
+Vector = tuple[float, float, float]
+HIP, THIGH, SHANK, FOOT = range(4)
 
 
 @dataclass(frozen=True)
@@ -15,7 +16,7 @@ class Inertial:
     """Mass [kg], centre of mass [m], inertia about it (ixx, ixy, ixz, iyy, iyz, izz) [kg m^2]; link axes."""
 
     mass: float
-    com: tuple[float, float, float]
+    com: Vector
     inertia: tuple[float, float, float, float, float, float]
 
     def mirrored(self, x: float, y: float) -> Inertial:
@@ -26,27 +27,16 @@ class Inertial:
 
 
 @dataclass(frozen=True)
-class Segment:
-    """A uniform box hanging from its joint (Table II): length L [m], side b of its section [m], mass [kg]."""
+class Box:
+    """A box parallel to the axes of its link: full sides and centre [m]."""
 
-    length: float
-    width: float
-    mass: float
-
-
-@dataclass(frozen=True)
-class JointLimit:
-    """Position [rad], torque [N m] and velocity [rad/s] limits of a joint."""
-
-    lower: float
-    upper: float
-    effort: float
-    velocity: float
+    size: Vector
+    centre: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """Radius and length [m] of a cylinder, and how far its centre lies outward of the link frame."""
+    """Radius and length [m] of a cylinder along y, and how far its centre lies outward of the link frame."""
 
     radius: float
     length: float
@@ -54,107 +44,203 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
-class QuadrupedDescription:
-    """A quadruped in FLU axes (x forward, y left, z up), mirror-symmetric left to right.
+class Ball:
+    """The foot: mass [kg], radius [m], moment of inertia about any axis [kg m^2]."""
 
-    Each leg is hip (about +x), thigh (about +y), calf (about +y) and a fixed ball foot.
+    mass: float
+    radius: float
+    inertia: float
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Thigh or shank: the vendor's link, and the uniform box of Table II with the same mass.
+
+    Attributes:
+        length: distance from its joint straight down to the next, which is the box's length L too [m].
+        width: side b of the box's square section [m].
+        vendor: inertial of the vendor's left link.
+    """
+
+    length: float
+    width: float
+    vendor: Inertial
+
+    @property
+    def box(self) -> Box:
+        """The box, hanging from the joint."""
+        return Box((self.width, self.width, self.length), (0.0, 0.0, -self.length / 2))
+
+    @property
+    def box_inertial(self) -> Inertial:
+        """Inertial of the uniform box (Table II at scale 1)."""
+        mass = self.vendor.mass
+        swing, twist = mass / 12 * (self.width**2 + self.length**2), mass * self.width**2 / 6
+        return Inertial(mass, self.box.centre, (swing, 0.0, 0.0, swing, 0.0, twist))
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A kind of joint, the same on all legs but for its range.
+
+    Attributes:
+        axis: of rotation, in base axes.
+        front: lower and upper limit on the front legs [rad].
+        hind: lower and upper limit on the hind legs [rad].
+        effort: torque limit [N m].
+        velocity: velocity limit [rad/s].
+    """
+
+    axis: tuple[int, int, int]
+    front: tuple[float, float]
+    hind: tuple[float, float]
+    effort: float
+    velocity: float
+
+
+@dataclass(frozen=True)
+class VendorControl:
+    """How the vendor's own software addresses the joints and makes the robot stand.
+
+    Attributes:
+        legs: order of the legs in joint vectors; within a leg hip, thigh, knee.
+        stand: angles of hip, thigh and knee [rad].
+        kp: stiffness that holds it [N m/rad].
+        kd: damping that holds it [N m s/rad].
+    """
+
+    legs: tuple[str, str, str, str]
+    stand: Vector
+    kp: float
+    kd: float
+
+
+@dataclass(frozen=True)
+class QuadrupedDescription:
+    """A quadruped in FLU axes (x forward, y left, z up), legs ordered front left, front right, rear left, rear right.
+
+    Each leg is hip, thigh, shank and a fixed ball foot. Joints and collision shapes are mirror images, and so are
+    thighs and shanks; the hips' inertials need not be.
 
     Attributes:
         name: the robot.
-        base: inertial of the trunk.
-        trunk_size: collision box of the trunk [m].
+        base: name of the trunk link.
+        legs: names of the legs.
+        links: what follows a leg's name in those of hip, thigh, shank and foot link.
+        joints: what follows a leg's name in those of hip, thigh, knee and (fixed) foot joint.
+        trunk: inertial of the trunk.
+        trunk_boxes: collision boxes of the trunk.
         hip_position: (x, y) of the front-left hip joint in the base frame [m].
         hip_offset: lateral distance from hip joint to thigh joint [m].
-        hip: inertial of the front-left hip link; the others are mirror images.
-        hip_cylinder: collision cylinder of the hip, its axis along y.
+        hips: inertials of the four hip links.
+        hip_cylinder: collision cylinder of the hip.
         thigh: upper leg segment.
         shank: lower leg segment.
-        foot_mass: mass of the ball foot [kg].
-        foot_inertia: moment of inertia of the foot about any axis [kg m^2].
-        foot_radius: radius of the foot [m].
-        hip_limit: limits of the hip joints.
-        front_thigh_limit: limits of the front thigh joints.
-        hind_thigh_limit: limits of the hind thigh joints.
-        calf_limit: limits of the knees.
+        foot: the ball.
+        hinges: hip, thigh and knee joint.
+        armature: inertia of the rotor as the joint feels it [kg m^2].
         damping: viscous joint friction [N m s/rad].
         friction: dry joint friction [N m].
+        control: the vendor's conventions.
     """
 
     name: str
-    base: Inertial
-    trunk_size: tuple[float, float, float]
+    base: str
+    legs: tuple[str, str, str, str]
+    links: tuple[str, str, str, str]
+    joints: tuple[str, str, str, str]
+    trunk: Inertial
+    trunk_boxes: tuple[Box, ...]
     hip_position: tuple[float, float]
     hip_offset: float
-    hip: Inertial
+    hips: tuple[Inertial, Inertial, Inertial, Inertial]
     hip_cylinder: Cylinder
     thigh: Segment
     shank: Segment
-    foot_mass: float
-    foot_inertia: float
-    foot_radius: float
-    hip_limit: JointLimit
-    front_thigh_limit: JointLimit
-    hind_thigh_limit: JointLimit
-    calf_limit: JointLimit
+    foot: Ball
+    hinges: tuple[Hinge, Hinge, Hinge]
+    armature: float
     damping: float
     friction: float
+    control: VendorControl
+
+    @property
+    def vendor_joints(self) -> tuple[str, ...]:
+        """The 12 actuated joints in the order of the vendor's software."""
+        return tuple(leg + joint for leg in self.control.legs for joint in self.joints[:3])
 
 
-def build_urdf(robot: QuadrupedDescription) -> str:
-    """The URDF of a description; legs in the order FL, FR, RL, RR."""
+def mirrored_hips(front_left: Inertial) -> tuple[Inertial, Inertial, Inertial, Inertial]:
+    """Hips that are mirror images of the front left one."""
+    return front_left, front_left.mirrored(1, -1), front_left.mirrored(-1, 1), front_left.mirrored(-1, -1)
+
+
+def build_urdf(robot: QuadrupedDescription, legs: Literal["box", "vendor"] = "box") -> str:
+    """The URDF of a description.
+
+    Args:
+        robot: the description.
+        legs: whose mass distribution thighs and shanks have: the uniform boxes of Table II, or the vendor's links
+            (the right ones mirrored). Masses, joints and collision boxes are the same.
+    """
     parts = [
         '<?xml version="1.0" encoding="utf-8"?>',
         f'<robot name="{robot.name}">',
-        _link("base", robot.base, f'<box size="{format_vector(robot.trunk_size)}"/>'),
+        _link(robot.base, robot.trunk, [_box(box) for box in robot.trunk_boxes]),
+        *(part for leg in range(4) for part in _leg(robot, leg, legs == "box")),
+        "</robot>",
+        "",
     ]
-    for leg in LEGS:
-        front = leg[0] == "F"
-        x, y = (1.0 if front else -1.0), (1.0 if leg[1] == "L" else -1.0)
-        cylinder = robot.hip_cylinder
-        hip_joint = (robot.hip_position[0] * x, robot.hip_position[1] * y, 0.0)
-        thigh_limit = robot.front_thigh_limit if front else robot.hind_thigh_limit
-        parts += [
-            _joint(robot, f"{leg}_hip", "base", hip_joint, (1, 0, 0), robot.hip_limit),
-            _link(
-                f"{leg}_hip",
-                robot.hip.mirrored(x, y),
-                f'<cylinder radius="{cylinder.radius!r}" length="{cylinder.length!r}"/>',
-                f'xyz="{format_vector((0, cylinder.outward * y, 0))}" rpy="{_QUARTER_TURN} 0 0"',
-            ),
-            _joint(robot, f"{leg}_thigh", f"{leg}_hip", (0, robot.hip_offset * y, 0), (0, 1, 0), thigh_limit),
-            _segment(f"{leg}_thigh", robot.thigh),
-            _joint(robot, f"{leg}_calf", f"{leg}_thigh", (0, 0, -robot.thigh.length), (0, 1, 0), robot.calf_limit),
-            _segment(f"{leg}_calf", robot.shank),
-            f'  <joint name="{leg}_foot_joint" type="fixed">\n'
-            f'    <origin xyz="{format_vector((0, 0, -robot.shank.length))}"/>\n'
-            f'    <parent link="{leg}_calf"/>\n    <child link="{leg}_foot"/>\n  </joint>',
-            _link(
-                f"{leg}_foot",
-                Inertial(robot.foot_mass, (0, 0, 0), _diagonal(robot.foot_inertia, robot.foot_inertia)),
-                f'<sphere radius="{robot.foot_radius!r}"/>',
-            ),
-        ]
-    return "\n".join([*parts, "</robot>", ""])
+    return "\n".join(parts)
 
 
 _QUARTER_TURN = repr(1.5707963267948966)
 
 
-def _diagonal(ixx: float, izz: float) -> tuple[float, float, float, float, float, float]:
-    return (ixx, 0.0, 0.0, ixx, 0.0, izz)
+def _leg(robot: QuadrupedDescription, leg: int, boxes: bool) -> list[str]:
+    x, y = (1.0, 1.0, -1.0, -1.0)[leg], (1.0, -1.0, 1.0, -1.0)[leg]
+    links = [robot.legs[leg] + name for name in robot.links]
+    parents = [robot.base, *links]
+    cylinder, foot = robot.hip_cylinder, robot.foot
+    positions = (
+        (robot.hip_position[0] * x, robot.hip_position[1] * y, 0.0),
+        (0.0, robot.hip_offset * y, 0.0),
+        (0.0, 0.0, -robot.thigh.length),
+        (0.0, 0.0, -robot.shank.length),
+    )
+    hip_shape = (
+        f'xyz="{format_vector((0, cylinder.outward * y, 0))}" rpy="{_QUARTER_TURN} 0 0"',
+        f'<cylinder radius="{cylinder.radius!r}" length="{cylinder.length!r}"/>',
+    )
+    segments = [
+        _link(
+            links[part],
+            segment.box_inertial if boxes else segment.vendor.mirrored(1, y),
+            [_box(segment.box)],
+        )
+        for part, segment in ((THIGH, robot.thigh), (SHANK, robot.shank))
+    ]
+    ball = Inertial(foot.mass, (0, 0, 0), (foot.inertia, 0, 0, foot.inertia, 0, foot.inertia))
+    bodies = [
+        _link(links[HIP], robot.hips[leg], [hip_shape]),
+        *segments,
+        _link(links[FOOT], ball, [('xyz="0 0 0"', f'<sphere radius="{foot.radius!r}"/>')]),
+    ]
+    joints = [
+        _joint(robot, part, robot.legs[leg], parents[part], links[part], positions[part], front=x > 0)
+        for part in range(4)
+    ]
+    return [text for pair in zip(joints, bodies, strict=True) for text in pair]
 
 
-def _segment(name: str, segment: Segment) -> str:
-    ixx, _, izz = box_inertia(segment.mass, segment.length, segment.width)
-    centre = (0.0, 0.0, -segment.length / 2)
-    size = format_vector((segment.width, segment.width, segment.length))
-    inertial = Inertial(segment.mass, centre, _diagonal(float(ixx), float(izz)))
-    return _link(name, inertial, f'<box size="{size}"/>', f'xyz="{format_vector(centre)}"')
+def _box(box: Box) -> tuple[str, str]:
+    centre = format_vector(box.centre) if any(box.centre) else "0 0 0"
+    return f'xyz="{centre}"', f'<box size="{format_vector(box.size)}"/>'
 
 
-def _link(name: str, inertial: Inertial, shape: str, origin: str = 'xyz="0 0 0"') -> str:
+def _link(name: str, inertial: Inertial, shapes: list[tuple[str, str]]) -> str:
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    inertia = " ".join(f'{key}="{float(value)!r}"' for key, value in zip(names, inertial.inertia, strict=True))
+    inertia = " ".join(f'{key}="{format_vector([value])}"' for key, value in zip(names, inertial.inertia, strict=True))
     lines = [
         f'  <link name="{name}">',
         "    <inertial>",
@@ -164,33 +250,32 @@ def _link(name: str, inertial: Inertial, shape: str, origin: str = 'xyz="0 0 0"'
         "    </inertial>",
     ]
     for kind in ("visual", "collision"):
-        lines += [
-            f"    <{kind}>",
-            f"      <origin {origin}/>",
-            f"      <geometry>{shape}</geometry>",
-            f"    </{kind}>",
-        ]
+        for origin, shape in shapes:
+            lines += [
+                f"    <{kind}>",
+                f"      <origin {origin}/>",
+                f"      <geometry>{shape}</geometry>",
+                f"    </{kind}>",
+            ]
     return "\n".join([*lines, "  </link>"])
 
 
 def _joint(
-    robot: QuadrupedDescription,
-    child: str,
-    parent: str,
-    position: tuple[float, float, float],
-    axis: tuple[int, int, int],
-    limit: JointLimit,
+    robot: QuadrupedDescription, part: int, leg: str, parent: str, child: str, position: Vector, *, front: bool
 ) -> str:
-    return "\n".join(
-        [
-            f'  <joint name="{child}_joint" type="revolute">',
-            f'    <origin xyz="{format_vector(position)}"/>',
-            f'    <parent link="{parent}"/>',
-            f'    <child link="{child}"/>',
-            f'    <axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>',
-            f'    <limit lower="{limit.lower!r}" upper="{limit.upper!r}" '
-            f'effort="{limit.effort!r}" velocity="{limit.velocity!r}"/>',
+    kind = "fixed" if part == FOOT else "revolute"
+    lines = [
+        f'  <joint name="{leg}{robot.joints[part]}" type="{kind}">',
+        f'    <origin xyz="{format_vector(position)}"/>',
+        f'    <parent link="{parent}"/>',
+        f'    <child link="{child}"/>',
+    ]
+    if part != FOOT:
+        hinge = robot.hinges[part]
+        lower, upper = hinge.front if front else hinge.hind
+        lines += [
+            f'    <axis xyz="{" ".join(map(str, hinge.axis))}"/>',
+            f'    <limit lower="{lower!r}" upper="{upper!r}" effort="{hinge.effort!r}" velocity="{hinge.velocity!r}"/>',
             f'    <dynamics damping="{robot.damping!r}" friction="{robot.friction!r}"/>',
-            "  </joint>",
         ]
-    )
+    return "\n".join([*lines, "  </joint>"])
