@@ -1,0 +1,135 @@
+"""A level stance for each body, and the joint torques that hold it against gravity.
+
+The default puts the feet under the thigh joints, the hips 0.75 of the shorter leg pair above the feet. Where that is
+not sound, the sound stance nearest to it on a grid of hip heights and foot offsets is taken, see `search`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from morphgen.skeleton import Array, Skeleton
+from morphgen.stance.inverse import SagittalLegs, leg_angles, sagittal_legs
+from morphgen.stance.kinematics import forward_kinematics
+from morphgen.stance.search import HEIGHT_RATIO, candidates, knee_clearance
+from morphgen.stance.statics import GRAVITY, foot_load, static_torque
+
+LEAST_LOAD = 0.05
+"""Share of the weight that each foot must carry at least; on a rectangle of feet the centre of mass then lies
+inside by a tenth of its length and width."""
+_SHARED = {"axis", "lower", "upper", "effort", "velocity", "damping", "friction"}
+_CHUNK = 256
+"""Bodies searched at a time; bounds the memory."""
+_TRIES = 16
+"""Candidates per body that are looked at in one go."""
+
+
+@dataclass(frozen=True)
+class Stance:
+    """Stances of n bodies on a level floor at z = 0, the base level with its origin at x = y = 0.
+
+    Attributes:
+        joints: (n, 4, 3) angles of hip, thigh and knee [rad]; where no level stance exists, the nearest one.
+        torque: (n, 4, 3) joint torques that hold it, clipped to the limits [N m].
+        base_height: (n,) height of the base origin [m]; the lowest foot ball touches the floor.
+        hip_height: (n,) mean height of the thigh joints [m].
+        foot_offset: (n, 4) how far each foot lies in front of its thigh joint [m]; 0 in the default stance.
+        feasible: (n,) whether the stance is sound: all feet reach the floor, the joint limits are kept, the knees
+            keep their clearance, less torque is needed than the limits, and every foot carries at least 5 % of
+            the weight.
+    """
+
+    joints: Array
+    torque: Array
+    base_height: Array
+    hip_height: Array
+    foot_offset: Array
+    feasible: NDArray[np.bool_]
+
+
+def solve_stance(body: Skeleton, knees: Sequence[int | None] | None = None) -> Stance:
+    """Stances of n bodies; see `Stance`.
+
+    Args:
+        body: n bodies.
+        knees: for each leg (FL, FR, RL, RR) 1 for a knee that bends backwards, -1 for one that bends forwards, or
+            None for the side that the joint limits tell, backwards if they do not.
+
+    Raises:
+        MorphologyError: hips do not turn about x, or thighs and knees about y, at zero angles.
+    """
+    legs = sagittal_legs(body, knees)
+    height = HEIGHT_RATIO * legs.length.sum(axis=-1).min(axis=1)
+    stance = _stand(body, legs, height, np.zeros((body.n, 4)))
+    unsound = np.flatnonzero(~stance.feasible)
+    for start in range(0, len(unsound), _CHUNK):
+        rows = unsound[start : start + _CHUNK]
+        found, better = _nearest_sound(_rows(body, rows), _leg_rows(legs, rows))
+        for field in fields(Stance):
+            getattr(stance, field.name)[rows[found]] = getattr(better, field.name)[found]
+    return stance
+
+
+def _stand(body: Skeleton, legs: SagittalLegs, height: Array, offset: Array) -> Stance:
+    """Stances with thigh joints at a mean height (n,) above the feet's centres and feet offset (n, 4) forward [m]."""
+    n = body.n
+    zero = forward_kinematics(body, np.zeros((n, 4, 3)))
+    hip_z = zero.joint[:, :, 1, 2]
+    base_height = height - hip_z.mean(axis=1) + body.foot_radius.mean(axis=1)
+    solution = leg_angles(legs, base_height[:, None] + hip_z - body.foot_radius, offset)
+    angles = np.concatenate([np.zeros((n, 4, 1)), solution.joint], axis=-1)
+    within = (angles >= body.lower) & (angles <= body.upper)
+    angles = np.clip(angles, body.lower, body.upper)
+
+    poses = forward_kinematics(body, angles)
+    base_height = base_height + _lift(poses.joint, base_height, body.foot_radius)
+    clear = base_height[:, None] + poses.joint[:, :, 2, 2] >= knee_clearance(body)
+    load = foot_load(body, poses)
+    balanced = load >= LEAST_LOAD * GRAVITY * body.total_mass[:, None]
+    torque = static_torque(body, poses, load)
+    strong = np.abs(torque) < body.effort
+    return Stance(
+        joints=angles,
+        torque=np.clip(torque, -body.effort, body.effort),
+        base_height=base_height,
+        hip_height=base_height + poses.joint[:, :, 1, 2].mean(axis=1),
+        foot_offset=poses.joint[:, :, 3, 0] - poses.joint[:, :, 1, 0],
+        feasible=(solution.reachable & clear & balanced).all(axis=1) & (within & strong).all(axis=(1, 2)),
+    )
+
+
+def _nearest_sound(body: Skeleton, legs: SagittalLegs) -> tuple[NDArray[np.bool_], Stance]:
+    """Whether each of m bodies has a sound stance on the grid, (m,), and the one nearest to the default."""
+    grid = candidates(body, legs)
+    left, cursor = np.flatnonzero(grid.count), np.zeros(body.n, dtype=int)
+    height, offset, found = np.zeros(body.n), np.zeros((body.n, 4)), np.zeros(body.n, dtype=bool)
+    while len(left):
+        tries = np.minimum(cursor[left, None] + np.arange(_TRIES), grid.count[left, None] - 1)
+        heights, offsets = grid.at(left[:, None], tries)
+        rows = np.repeat(left, _TRIES)
+        stance = _stand(_rows(body, rows), _leg_rows(legs, rows), heights.ravel(), offsets.reshape(-1, 4))
+        sound = stance.feasible.reshape(-1, _TRIES)
+        first, hit = sound.argmax(axis=1), sound.any(axis=1)
+        height[left[hit]], offset[left[hit]] = heights[hit, first[hit]], offsets[hit, first[hit]]
+        found[left[hit]] = True
+        cursor[left] += _TRIES
+        left = left[~hit & (cursor[left] < grid.count[left])]
+    return found, _stand(body, legs, height, offset)
+
+
+def _lift(joint: Array, base_height: Array, foot_radius: Array) -> Array:
+    """How far to raise each base so that its lowest foot sphere touches the floor."""
+    return -(base_height[:, None] + joint[:, :, 3, 2] - foot_radius).min(axis=1)
+
+
+def _rows(body: Skeleton, rows: NDArray[np.intp]) -> Skeleton:
+    own = (field.name for field in fields(Skeleton) if field.name not in _SHARED)
+    return replace(body, **{name: getattr(body, name)[rows] for name in own})
+
+
+def _leg_rows(legs: SagittalLegs, rows: NDArray[np.intp]) -> SagittalLegs:
+    return replace(legs, length=legs.length[rows], rest=legs.rest[rows], bend=legs.bend[rows])
