@@ -22,6 +22,9 @@ __all__ = [
     "to_text",
 ]
 
+_XACRO = "(//*[starts-with(name(), 'xacro:')] | //*[@*[contains(., '${')]])[1]"
+_NO_DOCTYPE = "has a DOCTYPE with entities, which a robot does not need; remove it"
+
 
 def parse_xml(text: str, source: str) -> Element:
     """Parse XML text without expanding entities or reading anything else; comments are kept.
@@ -37,9 +40,11 @@ def parse_xml(text: str, source: str) -> Element:
     try:
         root = etree.fromstring(text.encode(), parser)
     except etree.XMLSyntaxError as error:
+        if "<!ENTITY" in text:  # too deep or too long to be read at all
+            raise MorphologyError(f"{source}: {_NO_DOCTYPE}") from error
         raise MorphologyError(f"{source}: not well-formed XML: {error}") from error
     if root.getroottree().docinfo.doctype:
-        raise MorphologyError(f"{source}: has a DOCTYPE, which a robot does not need; remove it")
+        raise MorphologyError(f"{source}: {_NO_DOCTYPE}")
     return root
 
 
@@ -47,11 +52,17 @@ def parse_urdf(text: str, source: str = "URDF") -> Element:
     """Parse URDF text into its `<robot>` element, as `parse_xml`.
 
     Raises:
-        MorphologyError: as `parse_xml`, or the root is not `<robot>`.
+        MorphologyError: as `parse_xml`, or the root is not `<robot>`, or there are xacro macros.
     """
     root = parse_xml(text, source)
     if root.tag != "robot":
         raise MorphologyError(f"{source}: the root element is <{root.tag}>, expected <robot>")
+    macro = root.xpath(_XACRO)  # pyright: ignore[reportAttributeAccessIssue]
+    if macro:
+        raise MorphologyError(
+            f"{source}: line {macro[0].sourceline} has xacro macros; expand them first: "
+            "xacro robot.urdf.xacro > robot.urdf"
+        )
     return root
 
 
