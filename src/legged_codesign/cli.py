@@ -16,6 +16,7 @@ from rich.markup import escape
 
 from legged_codesign.config import Objective, RunConfig
 from legged_codesign.presets import preset
+from legged_codesign.robots import absolute, body_factory, short_name
 
 console = Console()
 
@@ -27,7 +28,7 @@ class Run:
     preset: Literal["smoke", "laptop"] = "laptop"
     """smoke: 3 minutes, proves the plumbing. laptop: at most 15 minutes on 2 cores."""
     robot: str = "go2"
-    """An installed robot (entry point group legged.bodies)."""
+    """An installed robot (entry point group legged.bodies), or the path of a .urdf (then with --from-scratch)."""
     objective: Objective = "cost-of-transport"
     """return: undiscounted reward (eq. 9). energy: positive joint work (eq. 10). cost-of-transport: the same
     per weight and way; energies count with tracking as a constraint."""
@@ -49,7 +50,7 @@ class Run:
         search = config.search if self.trials is None else replace(config.search, trials=self.trials)
         return replace(
             config,
-            robot=self.robot,
+            robot=absolute(self.robot),
             seed=self.seed,
             bounds=tuple(parse_bounds(text) for text in self.bounds),
             fixed=tuple(parse_fixed(text) for text in self.fix),
@@ -61,7 +62,7 @@ class Run:
         """Run and say where the results are."""
         from legged_codesign.pipeline import run
 
-        folder = self.folder or Path("runs") / f"{self.preset}-{self.robot}-{self.objective}"
+        folder = self.folder or Path("runs") / f"{self.preset}-{short_name(self.robot)}-{self.objective}"
         started = time.monotonic()
         files = run(self.config(), folder, console)
         console.print(f"\nfinished in {(time.monotonic() - started) / 60:.1f} min", highlight=False)
@@ -83,7 +84,6 @@ class Report:
     def run(self) -> None:
         """Write it."""
         from legged_codesign.report.render import write_report
-        from legged_codesign.robots import body_factory
         from legged_codesign.run_folder import read_config
 
         config = read_config(self.folder)

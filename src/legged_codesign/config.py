@@ -75,7 +75,7 @@ class RunConfig:
 
     Attributes:
         preset: where the numbers come from.
-        robot: name of an installed body factory (entry point group `legged.bodies`).
+        robot: name of an installed body factory (entry point group `legged.bodies`), or path of a URDF.
         objective: what a body is scored by.
         seed: of everything random.
         bounds: design parameters searched within other bounds, (name, low, high).

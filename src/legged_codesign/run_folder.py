@@ -12,6 +12,7 @@ from locorl.config import differences, from_dict, to_dict
 
 from legged_codesign.config import RunConfig
 from legged_codesign.provenance import provenance
+from legged_codesign.robots import file_hash
 from legged_codesign.stages import RunError, write_text
 
 
@@ -66,39 +67,51 @@ def bind(folder: Path, config: RunConfig) -> None:
     """Write config.yaml before anything starts, or make sure that the folder is this run's.
 
     Raises:
-        RunError: the folder holds another run, or its configuration is damaged.
+        RunError: the folder holds another run, its configuration is damaged, or the robot's file has changed.
     """
     path = folder / "config.yaml"
     mine = to_dict(config)
     if path.exists():
-        theirs = _stored_config(path)
-        changes = differences(theirs, mine)
+        stored = _stored(path)
+        changes = differences(stored["config"], mine)
         if changes:
             raise RunError(
                 f"{folder} holds a run with another configuration; choose another --folder or delete it.\n  "
                 + "\n  ".join(changes)
             )
+        _check_robot(folder, config, stored)
         return
-    write_text(path, yaml.safe_dump({"config": mine, "provenance": provenance()}, sort_keys=False))
+    content = {"config": mine, "robot_sha256": file_hash(config.robot), "provenance": provenance()}
+    write_text(path, yaml.safe_dump(content, sort_keys=False))
 
 
 def read_config(folder: Path) -> RunConfig:
     """The configuration of a run folder.
 
     Raises:
-        RunError: the folder holds no run, or its configuration is damaged.
+        RunError: the folder holds no run, its configuration is damaged, or the robot's file has changed.
     """
     path = folder / "config.yaml"
     if not path.is_file():
         raise RunError(f"{folder} holds no run: {path} is missing")
-    return from_dict(RunConfig, _stored_config(path))
+    stored = _stored(path)
+    config = from_dict(RunConfig, stored["config"])
+    _check_robot(folder, config, stored)
+    return config
 
 
-def _stored_config(path: Path) -> Mapping[str, Any]:
+def _check_robot(folder: Path, config: RunConfig, stored: Mapping[str, Any]) -> None:
+    if file_hash(config.robot) != stored.get("robot_sha256"):
+        raise RunError(
+            f"{config.robot} has changed since the run in {folder} began; restore it or choose another --folder"
+        )
+
+
+def _stored(path: Path) -> Mapping[str, Any]:
     try:
-        config = yaml.safe_load(path.read_text(encoding="utf-8"))["config"]
-        if not isinstance(config, Mapping):
+        stored = yaml.safe_load(path.read_text(encoding="utf-8"))
+        if not isinstance(stored["config"], Mapping):
             raise TypeError("no settings under 'config'")
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise RunError(f"{path} is damaged ({error}); restore it or choose another --folder") from error
-    return config
+    return stored

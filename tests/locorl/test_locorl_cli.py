@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from pathlib import Path
 
 import locorl.cli
 import locorl.providers
@@ -111,6 +112,42 @@ def test_an_unknown_robot_names_the_package_to_install(monkeypatch, installed, k
     message = rf"no robot 'wolf' \(installed: {known}\).*pip install legged-morphgen"
     with pytest.raises(LookupError, match=message):
         locorl.providers.find_factory("wolf")
+
+
+class Opener:
+    """Stands in for the package that opens URDFs: the robot is named after the file."""
+
+    name = "urdf"
+
+    def load(self):
+        def open_file(path: Path) -> BoxQuadruped:
+            assert path.read_text() == "<robot/>"
+            return BoxQuadruped(path.stem)
+
+        return open_file
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "wolf.urdf"
+    path.write_text("<robot/>")
+    return path
+
+
+def test_a_path_is_opened_by_the_entry_point_urdf(monkeypatch, file):
+    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: [EntryPoint(), Opener()])
+    assert locorl.providers.find_factory(str(file)).name == "wolf"
+    assert locorl.providers.find_factory("box").name == "box"
+    with pytest.raises(FileNotFoundError, match=r"no robot file 'nowhere/wolf\.URDF'"):
+        locorl.providers.find_factory("nowhere/wolf.URDF")
+    with pytest.raises(LookupError, match=r"no robot 'urdf' \(installed: box\)"):
+        locorl.providers.find_factory("urdf")
+
+
+def test_a_path_without_an_opener_names_the_package_to_install(monkeypatch, file):
+    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: [EntryPoint()])
+    with pytest.raises(LookupError, match=r"opens '.*wolf\.urdf'.*pip install legged-morphgen"):
+        locorl.providers.find_factory(str(file))
 
 
 def test_providers_find_robots_by_entry_point(monkeypatch, trained):

@@ -34,6 +34,7 @@ class Train:
     folder: Annotated[Path, tyro.conf.Positional]
     """Where checkpoint.pt, policy.pt, metrics.jsonl and config.json go."""
     robot: str = "go2"
+    """An installed robot, or the path of a .urdf."""
     start: Path | None = None
     """Policy to go on from, for instance with other reward weights; the optimiser starts fresh."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
@@ -59,6 +60,7 @@ class Finetune:
     design: tuple[float, ...]
     """Design parameters in the order of the design space."""
     robot: str = "go2"
+    """An installed robot, or the path of a .urdf."""
     seed: int = 0
     config: FinetuneConfig = field(default_factory=FinetuneConfig)
     evaluation: EvalConfig = field(default_factory=lambda: EvalConfig(robots_per_body=64, reset_joint=0.1))
@@ -82,6 +84,7 @@ class Evaluate:
 
     checkpoint: Annotated[Path, tyro.conf.Positional]
     robot: str = "go2"
+    """An installed robot, or the path of a .urdf."""
     bodies: int = 100
     """Feasible bodies drawn from the design space with --evaluation.seed."""
     grid: int | None = None

@@ -14,17 +14,37 @@ from locorl.policy import Policy, load_policy
 from locorl.task import TaskConfig
 
 
+def is_file(robot: str) -> bool:
+    """Whether a robot is given as the path of a URDF instead of a name."""
+    return robot.lower().endswith(".urdf")
+
+
 def find_factory(robot: str) -> BodyFactory:
-    """The body factory that an installed package registers under `robot` (entry point group `legged.bodies`).
+    """The body factory of a robot, from an installed package (entry point group `legged.bodies`).
+
+    Args:
+        robot: name of an entry point, which is called without arguments; or the path of a URDF, with which the
+            entry point `urdf` is called.
 
     Raises:
-        LookupError: no installed package knows the robot; the message says what to install.
+        LookupError: no installed package knows the robot or opens URDFs; the message says what to install.
+        FileNotFoundError: there is no such file.
     """
     known = {point.name: point for point in entry_points(group="legged.bodies")}
+    opener = known.pop("urdf", None)
+    if is_file(robot):
+        if not Path(robot).is_file():
+            raise FileNotFoundError(f"there is no robot file '{robot}'")
+        if opener is None:
+            raise LookupError(
+                f"no installed package opens '{robot}'; legged-morphgen does: pip install legged-morphgen"
+            )
+        return opener.load()(Path(robot))
     if robot not in known:
         names = ", ".join(sorted(known)) or "none"
         raise LookupError(
-            f"no robot '{robot}' (installed: {names}); legged-morphgen provides go2: pip install legged-morphgen"
+            f"no robot '{robot}' (installed: {names}); legged-morphgen provides go2 and lite3, and opens the path of "
+            "your .urdf: pip install legged-morphgen"
         )
     return known[robot].load()()
 
@@ -37,7 +57,10 @@ def load_teacher(path: Path) -> Policy:
 def make_env(
     robot: str = "go2", num_envs: int = 256, design: tuple[float, ...] | None = None, seed: int = 0
 ) -> LeggedEnv:
-    """The locomotion environment (entry point group `legged.envs`): one body, or random ones without `design`."""
+    """The locomotion environment (entry point group `legged.envs`): one body, or random ones without `design`.
+
+    See `find_factory` for `robot`.
+    """
     factory = find_factory(robot)
     if design is None:
         designs = sample_designs(factory, num_envs, np.random.default_rng(seed))
