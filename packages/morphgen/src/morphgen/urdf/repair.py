@@ -28,7 +28,7 @@ class Defect:
     Attributes:
         link: index of the link.
         problem: what is wrong.
-        repairable: whether `repair` can help; a missing or negative mass cannot be guessed.
+        repairable: whether `repair_tree` can help; a missing or negative mass cannot be guessed.
         placeholder: whether the link has next to no mass, so that repairing it changes nothing.
     """
 
@@ -88,7 +88,7 @@ def find_defects(tree: Tree) -> list[Defect]:
     return found
 
 
-def repair(tree: Tree) -> tuple[Tree, list[str]]:
+def repair_tree(tree: Tree) -> tuple[Tree, list[str]]:
     """A copy with possible inertias, and a sentence for each change.
 
     Impossible inertias are replaced by the nearest possible ones (`repair_inertia`), placeholders
@@ -101,7 +101,7 @@ def repair(tree: Tree) -> tuple[Tree, list[str]]:
 
 
 def with_valid_inertia(tree: Tree, allow_repair: bool = False) -> tuple[Tree, list[str]]:
-    """As `repair` if that is allowed; else only placeholders of at most 1e-5 kg are repaired.
+    """As `repair_tree` if that is allowed; else only placeholders of at most 1e-5 kg are repaired.
 
     Raises:
         MorphologyError: a defect that may not or cannot be repaired; names every such link and the remedy.
