@@ -8,7 +8,8 @@ import mujoco.batch
 import numpy as np
 import pytest
 from morphgen import BodyFactory
-from morphgen.stance.solve import forward_kinematics, static_torque
+from morphgen.stance.kinematics import forward_kinematics
+from morphgen.stance.statics import static_torque
 from numpy.testing import assert_allclose
 
 

@@ -4,30 +4,46 @@
 # MuJoCo ships no type stubs
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from morphgen.errors import MorphologyError
-from morphgen.scaling.design import SCALE_NAMES, DesignSpace
-from morphgen.scaling.table2 import scale_skeleton, scale_urdf
-from morphgen.simulation.batch import BodyBatch, make_batch
+from morphgen.errors import MorphologyError, naming
+from morphgen.prepare import prepare
+from morphgen.scaling.articulate import Collisions, articulate
+from morphgen.scaling.bodies import Bodies, Rule, nominal_bodies, scale_bodies
+from morphgen.scaling.design import DesignSpace
+from morphgen.simulation.batch import BodyBatch
+from morphgen.simulation.drive import Drive
+from morphgen.simulation.fields import model_fields
 from morphgen.simulation.layout import make_layout
-from morphgen.simulation.model import Drive, build_spec
-from morphgen.stance.skeleton import Array, Skeleton, read_skeleton
-from morphgen.stance.solve import Stance, solve_stance
-from morphgen.urdf.legs import find_legs
-from morphgen.urdf.xml import parse_urdf
+from morphgen.simulation.model import build_spec
+from morphgen.skeleton import Array, Skeleton
+from morphgen.stance.gains import GainRule, gain_factors
+from morphgen.stance.stance import Stance, solve_stance
+from morphgen.urdf.meshes import MeshFinder, baked
+from morphgen.urdf.tree import Shape
+from morphgen.urdf.writer import ScaledUrdf, write_urdf
+
+_TURN = 2 * np.pi
 
 
 class BodyFactory:
-    """Makes bodies of one robot from design vectors (four leg scales, Table II of the paper).
+    """Makes bodies of one robot from design vectors.
 
     Attributes:
         name: the robot.
         space: its design parameters and their bounds.
+        rule: how thigh and shank scale, see `morphgen.scaling.bodies.Rule`.
+        gains: how the PD gains follow the body.
         layout: names and order of joints, feet, links and sensors.
         drive: servo at every joint.
+        robot: the nominal robot as read, with its collisions as primitives.
+        notes: what had to be repaired or replaced in the file.
+        meshes: finds the mesh files of the robot.
     """
 
     def __init__(
@@ -36,43 +52,74 @@ class BodyFactory:
         urdf: str,
         *,
         space: DesignSpace | None = None,
+        rule: Rule = "paper",
+        gains: GainRule | None = None,
         drive: Drive | None = None,
-        source: str | None = None,
+        source: str | Path | None = None,
+        mesh_paths: Sequence[Path] = (),
+        repair: bool = False,
+        lock: Collection[str] = (),
+        hips: Mapping[str, str] | None = None,
     ) -> None:
         """Read the robot.
 
         Args:
             name: the robot.
-            urdf: text of its URDF, with box thighs and shanks.
+            urdf: text of its URDF.
             space: None for the four leg scales in [0.6, 1.4].
-            drive: None for the default servo.
-            source: file name for messages.
+            rule: `paper` needs box thighs and shanks; `stretch` and `lumped` take any quadruped.
+            gains: None for constant gains.
+            drive: None for a servo sized to the robot's weight and height.
+            source: file of the URDF, for messages and for its meshes.
+            mesh_paths: folders in which meshes are looked for.
+            repair: whether impossible inertias are repaired (see `notes`) instead of refused.
+            lock: joints that are fixed at zero, such as those of an arm.
+            hips: hip joint of each of FL, FR, RL, RR, where the legs are not found by their place.
 
         Raises:
-            MorphologyError: the URDF is not a quadruped that Table II can scale.
+            MorphologyError: the URDF is not a quadruped that the rule can scale.
         """
         self.name = name
         self.space = DesignSpace.leg_scales() if space is None else space
-        if self.space.names != SCALE_NAMES:
-            raise MorphologyError(f"the design space must be {SCALE_NAMES}, got {self.space.names}")
-        self.drive = Drive() if drive is None else drive
-        self._source = source or name
-        self._urdf = urdf
-        root = parse_urdf(urdf, self._source)
-        try:
-            self._legs = find_legs(root)
-            self._nominal = read_skeleton(root, self._legs)
-        except MorphologyError as error:
-            raise MorphologyError(f"{self._source}: {error}") from error
-        self.layout = make_layout(name, self._legs, self._nominal)
+        self.rule: Rule = rule
+        self.gains = GainRule() if gains is None else gains
+        self.meshes = MeshFinder(source if isinstance(source, Path) else None, mesh_paths)
+        self._source = str(source or name)
+        with naming(self._source):
+            self._read(urdf, repair, lock, hips)
+        if drive is None:
+            drive = Drive.sized(float(self._nominal.total_mass[0]), float(self._nominal_stance.hip_height[0]))
+        self.drive = drive
+
+    def _read(self, urdf: str, repair: bool, lock: Collection[str], hips: Mapping[str, str] | None) -> None:
+        self.robot, self.notes = prepare(urdf, self._source, self.meshes, repair=repair, lock=lock, hips=hips)
+        self._links = nominal_bodies(self.robot.tree)
+        # all rules meet their demands on the robot here, not when the first body is made
+        bodies = self._bodies(self.space.nominal[None])
+        self._nominal, self._collisions = articulate(self.robot, bodies)
+        self._nominal_stance = solve_stance(self._nominal)
+        self.layout = make_layout(self.name, self.robot.tree, self.robot.leg_map, self._nominal)
 
     def urdf(self, design: ArrayLike) -> str:
-        """The scaled URDF of one design (d,)."""
-        return scale_urdf(self._urdf, self._one(design), self._source)
+        """The scaled URDF of one design (d,); relative mesh paths are as in the source, see `scaled_urdf`."""
+        return self._scaled(design, bake=False).text
+
+    def scaled_urdf(self, design: ArrayLike) -> ScaledUrdf:
+        """The scaled URDF of one design (d,), with the meshes that had to be made for it.
+
+        Raises:
+            MorphologyError: such a mesh is missing; names file, link and remedy.
+        """
+        return self._scaled(design, bake=True)
 
     def spec(self, design: ArrayLike, scene: mujoco.MjSpec | None = None) -> mujoco.MjSpec:
-        """A fresh MuJoCo spec of one design (d,), made from its URDF; for export and for checking batches."""
-        return build_spec(self.urdf(design), self._legs, self._nominal, self.layout, self.drive, scene)
+        """A fresh MuJoCo spec of one design (d,)."""
+        designs = self._one(design)
+        body, collisions = articulate(self.robot, self._bodies(designs))
+        gains = self._eta(designs, body, solve_stance(body)).reshape(12)
+        return build_spec(
+            body, collisions, self.layout, self.drive, self.drive.kp * gains, self.drive.kd * gains, scene
+        )
 
     def batch(self, designs: ArrayLike, scene: mujoco.MjSpec | None = None) -> BodyBatch:
         """Bodies for designs (n, d) as fields of one model, without a file or a compilation per body.
@@ -85,24 +132,152 @@ class BodyFactory:
             MorphologyError: a design out of bounds; names row and parameter.
         """
         checked = self.space.validated(designs)
-        bodies = scale_skeleton(self._nominal, checked)
+        bodies, collisions = articulate(self.robot, self._bodies(checked))
+        stance = solve_stance(bodies)
         model = self.spec(self.space.nominal, scene).compile()
-        return make_batch(checked, model, bodies, solve_stance(bodies), self._legs, self.layout, self.drive)
+        nominal = (self._nominal, self._collisions)
+        fields = model_fields(model, nominal, bodies, collisions, self.layout, turning=self.rule != "paper")
+        eta = self._eta(checked, bodies, stance).reshape(-1, 12)
+        kp, kd = self.drive.kp * eta, self.drive.kd * eta
+        if self.gains.kind != "none":
+            fields |= _gain_fields(model, self.layout.actuators, kp, kd)
+        return self._assemble(checked, model, fields, bodies, stance, kp, kd)
 
     def skeleton(self, designs: ArrayLike) -> Skeleton:
         """Geometry, mass and limits of the designs (n, d) as arrays."""
-        return scale_skeleton(self._nominal, self.space.validated(designs))
+        return articulate(self.robot, self._bodies(self.space.validated(designs)))[0]
+
+    def collisions(self, designs: ArrayLike) -> Collisions:
+        """Collision primitives of the designs (n, d)."""
+        return articulate(self.robot, self._bodies(self.space.validated(designs)))[1]
 
     def stance(self, designs: ArrayLike) -> Stance:
         """Stances of the designs (n, d)."""
         return solve_stance(self.skeleton(designs))
 
-    def feasible(self, designs: ArrayLike) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def feasible(self, designs: ArrayLike) -> NDArray[np.bool_]:
         """Whether each design (n, d) has a sound level stance, (n,)."""
         return self.stance(designs).feasible
+
+    def sample(self, n: int, rng: np.random.Generator) -> Array:
+        """N feasible designs, uniform in the space, (n, d).
+
+        Raises:
+            MorphologyError: hardly any design of the space is feasible.
+        """
+        kept = np.zeros((0, self.space.dim))
+        for _ in range(100):
+            drawn = self.space.sample(max(n, 64), rng)
+            kept = np.vstack([kept, drawn[self.feasible(drawn)]])
+            if len(kept) >= n:
+                return kept[:n]
+        raise MorphologyError(
+            f"{self.name}: only {len(kept)} of {100 * max(n, 64)} designs of the space have a sound level stance"
+        )
+
+    def _bodies(self, designs: Array, *, visuals: bool = False) -> Bodies:
+        return scale_bodies(self.robot, self.space.morphology(designs), self.rule, visuals=visuals)
+
+    def _scaled(self, design: ArrayLike, *, bake: bool) -> ScaledUrdf:
+        designs = self._one(design)
+        body = self._bodies(designs, visuals=True)
+        morphology = self.space.morphology(designs)
+        with naming(self._source):
+            return write_urdf(self.robot, morphology, self._links, body, self._bake if bake else None)
+
+    def _bake(self, shape: Shape, linear: Array) -> bytes:
+        assert shape.mesh is not None
+        where = f"link '{self.robot.tree.links[shape.link].name}' visual"
+        return baked(self.meshes.load(shape.mesh, where), linear)
+
+    def _eta(self, designs: Array, bodies: Skeleton, stance: Stance) -> Array:
+        return gain_factors(
+            self.gains, bodies, stance, self._nominal, self._nominal_stance, designs, self.space.nominal
+        )
+
+    def _assemble(
+        self,
+        designs: Array,
+        model: mujoco.MjModel,
+        fields: dict[str, Array],
+        bodies: Skeleton,
+        stance: Stance,
+        kp: Array,
+        kd: Array,
+    ) -> BodyBatch:
+        n = len(designs)
+        joints = stance.joints.reshape(n, 12)
+        qpos = np.repeat(model.qpos0[None], n, axis=0)
+        free = model.joint(f"{self.layout.base}_free").qposadr[0]
+        qpos[:, free : free + 7] = (0, 0, 0, 1, 0, 0, 0)
+        qpos[:, free + 2] = stance.base_height
+        qpos[:, [model.joint(name).qposadr[0] for name in self.layout.joints]] = joints
+
+        def shared(values: Array) -> Array:
+            return np.tile(values.ravel(), (n, 1))
+
+        return BodyBatch(
+            designs=designs,
+            model=model,
+            fields=fields,
+            stance_qpos=qpos,
+            stance_ctrl=joints + stance.torque.reshape(n, 12) / kp,
+            feasible=stance.feasible,
+            kp=kp,
+            kd=kd,
+            torque_limit=shared(self.drive.torque_limits(bodies, self.layout)),
+            velocity_limit=shared(self.drive.velocity_limits(bodies)),
+            joint_lower=shared(np.maximum(bodies.lower, -_TURN)),
+            joint_upper=shared(np.minimum(bodies.upper, _TURN)),
+            total_mass=bodies.total_mass,
+            hip_height=stance.hip_height,
+        )
 
     def _one(self, design: ArrayLike) -> Array:
         checked = self.space.validated(design)
         if len(checked) != 1:
             raise MorphologyError(f"expected one design of {self.space.dim} values, got {len(checked)} designs")
-        return checked[0]
+        return checked
+
+
+def scale_urdf(
+    text: str,
+    scales: ArrayLike,
+    *,
+    rule: Rule = "stretch",
+    source: str = "URDF",
+    mesh_paths: Sequence[Path] = (),
+) -> str:
+    """Scale the legs of a URDF, whatever the bounds of a design space; everything else in the file stays.
+
+    Args:
+        text: of the URDF.
+        scales: (4,) scales of front thigh, front shank, hind thigh and hind shank.
+        rule: how thigh and shank scale.
+        source: name of the file, for messages.
+        mesh_paths: folders in which collision meshes are looked for.
+
+    Returns:
+        The scaled URDF; its numbers read back to the same float64.
+
+    Raises:
+        MorphologyError: not a quadruped that the rule can scale, or bad scales.
+    """
+    values = np.asarray(scales, dtype=np.float64)
+    if values.shape != (4,) or not np.all(np.isfinite(values) & (values > 0)):
+        raise MorphologyError(f"leg scales must be 4 positive numbers, got {scales!r}")
+    space = DesignSpace.leg_scales(min(1.0, float(values.min())), max(1.0, float(values.max())))
+    return BodyFactory(source, text, space=space, rule=rule, source=source, mesh_paths=mesh_paths).urdf(values)
+
+
+def _gain_fields(model: mujoco.MjModel, actuators: tuple[str, ...], kp: Array, kd: Array) -> dict[str, Array]:
+    """Gain and bias of position servos: torque = kp ctrl - kp q - kd dq."""
+    gain, bias = (
+        np.repeat(np.asarray(values)[None], len(kp), axis=0)
+        for values in (model.actuator_gainprm, model.actuator_biasprm)
+    )
+    ids = [model.actuator(name).id for name in actuators]
+    gain[:, ids, 0] = kp
+    bias[:, ids, 1] = -kp
+    bias[:, ids, 2] = -kd
+    return {"actuator_gainprm": gain, "actuator_biasprm": bias}

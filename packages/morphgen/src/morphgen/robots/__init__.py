@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 
 from morphgen.errors import MorphologyError
@@ -10,9 +11,12 @@ from morphgen.factory import BodyFactory
 from morphgen.robots.description import QuadrupedDescription, build_urdf
 from morphgen.robots.go2 import GO2
 from morphgen.robots.lite3 import LITE3
-from morphgen.simulation.model import Drive
+from morphgen.scaling.bodies import Rule
+from morphgen.scaling.design import DesignSpace
+from morphgen.simulation.drive import Drive
+from morphgen.stance.gains import GainRule
 
-__all__ = ["GO2", "LITE3", "ROBOTS", "build_urdf", "go2", "lite3", "load_robot"]
+__all__ = ["GO2", "LITE3", "ROBOTS", "build_urdf", "from_urdf", "go2", "lite3", "load_robot"]
 
 
 def go2() -> BodyFactory:
@@ -25,21 +29,72 @@ def lite3() -> BodyFactory:
     return _factory(LITE3)
 
 
+DESCRIPTIONS = MappingProxyType({"go2": GO2, "lite3": LITE3})
+"""Their descriptions."""
 ROBOTS: Mapping[str, Callable[[], BodyFactory]] = MappingProxyType({"go2": go2, "lite3": lite3})
 """The built-in robots by name."""
 
 
-def load_robot(name: str) -> BodyFactory:
+def load_robot(
+    name: str, *, rule: Rule = "paper", space: DesignSpace | None = None, gains: GainRule | None = None
+) -> BodyFactory:
     """The factory of a built-in robot.
+
+    Args:
+        name: of the robot.
+        rule: `paper` gives it box legs, the others start from the vendor's inertias.
+        space: None for the four leg scales.
+        gains: None for constant gains.
 
     Raises:
         MorphologyError: unknown name; lists the known ones.
     """
     if name not in ROBOTS:
         raise MorphologyError(f"unknown robot '{name}'; known: {', '.join(ROBOTS)}")
-    return ROBOTS[name]()
+    return _factory(DESCRIPTIONS[name], rule, space, gains)
 
 
-def _factory(robot: QuadrupedDescription) -> BodyFactory:
+def from_urdf(
+    path: Path,
+    *,
+    rule: Rule = "stretch",
+    space: DesignSpace | None = None,
+    gains: GainRule | None = None,
+    drive: Drive | None = None,
+    mesh_paths: Sequence[Path] = (),
+    repair: bool = False,
+    lock: Collection[str] = (),
+) -> BodyFactory:
+    """The factory of a robot of your own; arguments as for `BodyFactory`.
+
+    Raises:
+        MorphologyError: the file is not a quadruped that can be scaled; names file, element and remedy.
+        OSError: it cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise MorphologyError(f"{path}: is not UTF-8 text ({error}); save it as UTF-8") from error
+    return BodyFactory(
+        path.stem,
+        text,
+        space=space,
+        rule=rule,
+        gains=gains,
+        drive=drive,
+        source=path,
+        mesh_paths=mesh_paths,
+        repair=repair,
+        lock=lock,
+    )
+
+
+def _factory(
+    robot: QuadrupedDescription,
+    rule: Rule = "paper",
+    space: DesignSpace | None = None,
+    gains: GainRule | None = None,
+) -> BodyFactory:
     drive = Drive(armature=robot.armature, damping=robot.damping, friction=robot.friction)
-    return BodyFactory(robot.name, build_urdf(robot), drive=drive)
+    text = build_urdf(robot, "box" if rule == "paper" else "vendor")
+    return BodyFactory(robot.name, text, space=space, rule=rule, gains=gains, drive=drive)

@@ -8,14 +8,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import mujoco
+import mujoco.batch
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from morphgen.simulation.layout import Layout
-from morphgen.simulation.model import Drive, collision_geom
-from morphgen.stance.skeleton import Array, Skeleton
-from morphgen.stance.solve import Stance
-from morphgen.urdf.legs import LegMap
+from morphgen.skeleton import Array
+
+DERIVED = (
+    "body_subtreemass",
+    "body_invweight0",
+    "dof_invweight0",
+    "dof_M0",
+    "actuator_acc0",
+    "geom_rbound",
+    "geom_aabb",
+)
+"""Model fields that MuJoCo derives from the others."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +34,8 @@ class BodyBatch:
         designs: (n, d) design vectors.
         model: the nominal body in its scene.
         fields: every MjModel field that differs between bodies, (n, *shape of the field); write them through
-            `mujoco.batch.Batch.expand()`, then call `Batch.set_const()`, which derives the rest.
+            `mujoco.batch.Batch.expand()`, then call `Batch.set_const()`, which derives the rest; for engines
+            that cannot, see `derived`.
         stance_qpos: (n, nq) stance on a floor at z = 0: base at x = y = 0 and level.
         stance_ctrl: (n, 12) servo targets that hold the stance: its angles + static torque / kp [rad].
         feasible: (n,) whether the stance is sound, see `morphgen.stance.Stance`.
@@ -34,8 +43,8 @@ class BodyBatch:
         kd: (n, 12) servo damping [N m s/rad].
         torque_limit: (n, 12) [N m].
         velocity_limit: (n, 12) [rad/s]; data for controllers, not enforced by the model.
-        joint_lower: (n, 12) [rad].
-        joint_upper: (n, 12) [rad].
+        joint_lower: (n, 12) [rad]; -2 pi for a joint without limits.
+        joint_upper: (n, 12) [rad]; 2 pi for a joint without limits.
         total_mass: (n,) [kg].
         hip_height: (n,) height of the thigh joint axes above the floor in the stance [m].
     """
@@ -69,64 +78,15 @@ class BodyBatch:
         arrays = {name: getattr(self, name)[rows] for name in self.__dataclass_fields__ if name not in shared}
         return replace(self, **arrays, fields={name: values[rows] for name, values in self.fields.items()})
 
+    def derived(self, threads: int = 0) -> dict[str, Array]:
+        """The fields that MuJoCo derives (inverse weights, bounding volumes ...), (n, *shape of the field).
 
-def make_batch(
-    designs: Array,
-    model: mujoco.MjModel,
-    bodies: Skeleton,
-    stance: Stance,
-    leg_map: LegMap,
-    layout: Layout,
-    drive: Drive,
-) -> BodyBatch:
-    """Assemble a batch from the compiled nominal model and the numbers of n bodies."""
-    n = len(designs)
-    qpos = np.zeros((n, model.nq))
-    qpos[:] = model.qpos0
-    free = model.joint(f"{layout.base}_free").qposadr[0]
-    qpos[:, free : free + 7] = (0, 0, 0, 1, 0, 0, 0)
-    qpos[:, free + 2] = stance.base_height
-    addresses = [model.joint(name).qposadr[0] for name in layout.joints]
-    joints = stance.joints.reshape(n, -1)
-    qpos[:, addresses] = joints
-
-    def per_body(values: Array | float) -> Array:
-        return np.tile(np.broadcast_to(values, (4, 3)).ravel(), (n, 1))
-
-    return BodyBatch(
-        designs=designs,
-        model=model,
-        fields=model_fields(model, bodies, leg_map),
-        stance_qpos=qpos,
-        stance_ctrl=joints + stance.torque.reshape(n, -1) / drive.kp,
-        feasible=stance.feasible,
-        kp=per_body(drive.kp),
-        kd=per_body(drive.kd),
-        torque_limit=per_body(bodies.effort),
-        velocity_limit=per_body(bodies.velocity),
-        joint_lower=per_body(bodies.lower),
-        joint_upper=per_body(bodies.upper),
-        total_mass=bodies.total_mass,
-        hip_height=stance.hip_height,
-    )
-
-
-def model_fields(model: mujoco.MjModel, bodies: Skeleton, leg_map: LegMap) -> dict[str, Array]:
-    """The MjModel fields that scaling changes, (n, *shape): masses, inertias, knees, ankles and boxes.
-
-    A box keeps its centre of mass at its centre and its axes principal at every scale, so the frames that the
-    compiler flagged as equal (`geom_sameframe`) stay equal and MuJoCo's shortcut for them stays valid.
-    """
-    names = ("body_mass", "body_inertia", "body_pos", "body_ipos", "geom_pos", "geom_size")
-    fields = {name: np.repeat(np.asarray(getattr(model, name))[None], bodies.n, axis=0) for name in names}
-    for i, leg in enumerate(leg_map.legs):
-        ids = [model.body(name).id for name in leg.links]
-        for part, link in ((0, 1), (1, 2)):
-            body, geom = ids[link], model.geom(collision_geom(leg.links[link], 0)).id
-            fields["body_mass"][:, body] = bodies.link_mass[:, i, link]
-            fields["body_inertia"][:, body] = bodies.segment_inertia[:, i, part]
-            fields["body_ipos"][:, body] = bodies.link_com[:, i, link]
-            fields["geom_pos"][:, geom] = bodies.link_com[:, i, link]
-            fields["geom_size"][:, geom] = bodies.segment_box[:, i, part] / 2
-            fields["body_pos"][:, ids[link + 1]] = bodies.joint_origin[:, i, link + 1]
-    return fields
+        Args:
+            threads: worker threads; 0 for one per core.
+        """
+        sims = mujoco.batch.Batch(self.model, self.n, threads)
+        for name, values in self.fields.items():
+            sims.expand(name)[:] = values
+        views = {name: sims.expand(name) for name in DERIVED}
+        sims.set_const()
+        return {name: np.array(values) for name, values in views.items()}

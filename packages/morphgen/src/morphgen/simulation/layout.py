@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from morphgen.stance.skeleton import Skeleton
+from morphgen.skeleton import Skeleton
 from morphgen.urdf.legs import LegMap
+from morphgen.urdf.tree import Tree
 
 IMU = {"gyro": "imu_gyro", "acc": "imu_acc", "quat": "imu_quat"}
 
@@ -24,7 +25,7 @@ class Layout:
         actuators: the 12 position servos, named as their joints.
         feet: sites at the centres of the foot spheres.
         foot_contact: sensors that count the contacts of each foot.
-        links: bodies other than feet.
+        links: bodies other than feet: the base, then hip, thigh and shank of each leg.
         link_contact: sensors that count the contacts of each of the links.
         link_leg: leg index of each of the links, -1 for the base.
         imu: names of the sensors gyro, acc and quat.
@@ -45,20 +46,27 @@ class Layout:
     mirror_sign: tuple[float, ...]
     imu: Mapping[str, str] = field(default_factory=lambda: dict(IMU), hash=False)
 
+    def body(self, leg: int, part: int) -> str:
+        """Name of the body of a part: 0 to 3 for hip, thigh, shank and foot of a leg; leg -1 for the base."""
+        if leg < 0:
+            return self.base
+        return self.feet[leg] if part == 3 else self.links[1 + 3 * leg + part]
 
-def make_layout(robot: str, leg_map: LegMap, nominal: Skeleton) -> Layout:
-    """The layout of a robot with these legs and joint axes."""
+
+def make_layout(robot: str, tree: Tree, leg_map: LegMap, nominal: Skeleton) -> Layout:
+    """The layout of a robot; a part of several links is named by its root."""
     legs = leg_map.legs
-    joints = tuple(name for leg in legs for name in leg.joints)
-    feet = tuple(leg.links[3] for leg in legs)
-    links = (leg_map.base, *(name for leg in legs for name in leg.links[:3]))
+    joints = tuple(tree.joints[j].name for leg in legs for j in leg.joints)
+    feet = tuple(tree.links[leg.foot].name for leg in legs)
+    base = tree.links[leg_map.base].name
+    links = (base, *(tree.links[part.root].name for leg in legs for part in leg.parts))
     other_side = np.array([1, 0, 3, 2])
     # a rotation axis is a pseudovector: mirroring y keeps its y and flips the rest
     mirrored_axis = nominal.axis[other_side] * (-1, 1, -1)
     sign = np.sign((mirrored_axis * nominal.axis).sum(axis=-1))
     return Layout(
         robot=robot,
-        base=leg_map.base,
+        base=base,
         joints=joints,
         actuators=joints,
         feet=feet,

@@ -1,48 +1,34 @@
-"""URDF to MuJoCo: free base, PD position servos, IMU, contact sensors, in any scene."""
+"""A body in MuJoCo: free base, PD position servos, IMU, contact sensors, in any scene."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo ships no type stubs
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from morphgen.scaling.articulate import Collisions
+from morphgen.simulation.drive import Drive
 from morphgen.simulation.layout import Layout
-from morphgen.stance.skeleton import Skeleton
-from morphgen.urdf.legs import LegMap
+from morphgen.skeleton import Array, Skeleton
 
 FLOOR = "floor"
 _PREFIX = "morphgen/"
 _COLORS = {
-    "base": (0.16, 0.18, 0.22, 1.0),
-    "hip": (0.30, 0.33, 0.38, 1.0),
-    "thigh": (0.85, 0.87, 0.90, 1.0),
-    "shank": (0.20, 0.47, 0.75, 1.0),
-    "foot": (0.10, 0.10, 0.10, 1.0),
+    -1: (0.16, 0.18, 0.22, 1.0),
+    0: (0.30, 0.33, 0.38, 1.0),
+    1: (0.85, 0.87, 0.90, 1.0),
+    2: (0.20, 0.47, 0.75, 1.0),
+    3: (0.10, 0.10, 0.10, 1.0),
 }
-
-
-@dataclass(frozen=True)
-class Drive:
-    """The PD servo at every joint: torque = kp (target - q) - kd dq within the joint's torque limit.
-
-    Gains are those of the paper's Section IV; armature and friction are of the size identified on Go2.
-
-    Attributes:
-        kp: stiffness [N m/rad].
-        kd: damping [N m s/rad].
-        armature: reflected rotor inertia [kg m^2].
-        damping: viscous joint friction [N m s/rad].
-        friction: dry joint friction [N m].
-    """
-
-    kp: float = 40.0
-    kd: float = 0.7
-    armature: float = 0.01
-    damping: float = 0.1
-    friction: float = 0.1
+"""Of trunk, hip, thigh, shank and foot."""
+_GEOM = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
+}
 
 
 def flat_scene(timestep: float = 0.005) -> mujoco.MjSpec:
@@ -75,23 +61,31 @@ def flat_scene(timestep: float = 0.005) -> mujoco.MjSpec:
 
 
 def build_spec(
-    urdf: str, leg_map: LegMap, body: Skeleton, layout: Layout, drive: Drive, scene: mujoco.MjSpec | None
+    body: Skeleton,
+    collisions: Collisions,
+    layout: Layout,
+    drive: Drive,
+    kp: Array,
+    kd: Array,
+    scene: mujoco.MjSpec | None,
 ) -> mujoco.MjSpec:
-    """Put the robot of a URDF into a copy of a scene; the scene's options win.
+    """Put one body (n = 1) into a copy of a scene; the scene's options win.
 
     Args:
-        urdf: text of the robot.
-        leg_map: its legs.
-        body: its numbers, of which only the shared ones (limits) are used.
+        body: its parts.
+        collisions: its geoms.
         layout: the names to give.
         drive: servo at every joint.
+        kp: (12,) stiffness of the servos [N m/rad].
+        kd: (12,) damping of the servos [N m s/rad].
         scene: None for `flat_scene()`. Robot geoms have contype 1 and conaffinity 0, so they touch scene
             geoms whose conaffinity has bit 1, and not each other.
     """
-    robot = mujoco.MjSpec.from_string(urdf)
+    robot = mujoco.MjSpec()
     robot.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
-    robot.compiler.fusestatic = False
-    _prepare_bodies(robot, leg_map, layout, drive)
+    robot.compiler.degree = False
+    _add_bodies(robot, body, layout, drive)
+    _add_geoms(robot, collisions, layout)
 
     spec = flat_scene() if scene is None else scene.copy()
     # an empty prefix makes MuJoCo warn that the result may not save, so use one and strip it
@@ -100,7 +94,7 @@ def build_spec(
     kinds = ("body", "joint", "geom", "site")
     for element in [base, *(item for kind in kinds for item in base.find_all(kind))]:
         element.name = element.name.removeprefix(_PREFIX)
-    _add_servos(spec, body, layout, drive)
+    _add_servos(spec, drive.torque_limits(body, layout), layout, kp, kd)
     _add_sensors(spec, layout)
     return spec
 
@@ -115,29 +109,83 @@ def collision_geom(body: str, index: int) -> str:
     return f"{body}_collision" if index == 0 else f"{body}_collision{index}"
 
 
-def _prepare_bodies(robot: mujoco.MjSpec, leg_map: LegMap, layout: Layout, drive: Drive) -> None:
-    base = robot.body(layout.base)
+def _add_bodies(robot: mujoco.MjSpec, skeleton: Skeleton, layout: Layout, drive: Drive) -> None:
+    base = robot.worldbody.add_body(name=layout.base)
+    _set_inertial(base, skeleton.base_mass[0], skeleton.base_com[0], skeleton.base_inertia[0])
     base.add_freejoint(name=f"{layout.base}_free")
     base.add_site(name="imu", size=[0.01] * 3, group=4)
-    for leg in leg_map.legs:
-        robot.body(leg.links[3]).add_site(name=leg.links[3], size=[0.01] * 3, group=4)
-    kind_of = {name: kind for leg in leg_map.legs for name, kind in zip(leg.links, list(_COLORS)[1:], strict=True)}
-    for body in robot.bodies[1:]:
-        for index, geom in enumerate(body.geoms):
-            geom.name = collision_geom(body.name, index)
-            geom.rgba = _COLORS[kind_of.get(body.name, "base")]
-            geom.contype, geom.conaffinity = 1, 0
-    for name in layout.joints:
-        joint = robot.joint(name)
-        joint.armature = drive.armature
-        joint.damping[0] = drive.damping
-        joint.frictionloss = drive.friction
+    torque = drive.torque_limits(skeleton, layout)
+    damping, friction = drive.joint_friction(skeleton)
+    for leg in range(4):
+        parent = base
+        for part in range(4):
+            parent = parent.add_body(name=layout.body(leg, part), pos=skeleton.joint_origin[0, leg, part])
+            _set_inertial(
+                parent,
+                skeleton.link_mass[0, leg, part],
+                skeleton.link_com[0, leg, part],
+                skeleton.link_inertia[0, leg, part],
+            )
+            if part == 3:
+                parent.add_site(name=layout.feet[leg], size=[0.01] * 3, group=4)
+                continue
+            joint = parent.add_joint(
+                name=layout.joints[3 * leg + part],
+                type=mujoco.mjtJoint.mjJNT_HINGE,
+                axis=skeleton.axis[leg, part],
+                armature=drive.armature,
+                frictionloss=friction[leg, part],
+            )
+            joint.damping[0] = damping[leg, part]
+            lower, upper = skeleton.lower[leg, part], skeleton.upper[leg, part]
+            if np.isfinite(lower) and np.isfinite(upper):
+                joint.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+                joint.range = [lower, upper]
+            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            joint.actfrcrange = [-torque[leg, part], torque[leg, part]]
 
 
-def _add_servos(spec: mujoco.MjSpec, body: Skeleton, layout: Layout, drive: Drive) -> None:
-    for name, effort in zip(layout.actuators, body.effort.ravel(), strict=True):
+def _set_inertial(body: mujoco.MjsBody, mass: float, com: Array, inertia: Array) -> None:
+    if mass == 0:  # a frame without mass of its own
+        return
+    body.explicitinertial = True
+    body.mass, body.ipos = mass, com
+    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+
+
+def _add_geoms(robot: mujoco.MjSpec, collisions: Collisions, layout: Layout) -> None:
+    count: dict[str, int] = {}
+    for g, (leg, part, kind) in enumerate(zip(collisions.leg, collisions.part, collisions.kind, strict=True)):
+        name = layout.body(leg, part)
+        index = count[name] = count.get(name, -1) + 1
+        robot.body(name).add_geom(
+            name=collision_geom(name, index),
+            type=_GEOM[kind],
+            size=geom_size(kind, collisions.size[0, g]),
+            pos=collisions.position[0, g],
+            quat=rotation_to_quat(collisions.rotation[:1, g])[0],
+            rgba=_COLORS[part],
+            contype=1,
+            conaffinity=0,
+        )
+
+
+def geom_size(kind: str, size: Array) -> Array:
+    """MuJoCo's half sizes (..., 3) of a shape's size (..., 3), see `Shape.size`."""
+    if kind == "box":
+        return size / 2
+    return size * (1.0, 0.5, 0.0)
+
+
+def rotation_to_quat(rotation: Array) -> Array:
+    """Unit quaternions w, x, y, z (n, 4) with w >= 0 of rotations (n, 3, 3)."""
+    return Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True)
+
+
+def _add_servos(spec: mujoco.MjSpec, torque: Array, layout: Layout, kp: Array, kd: Array) -> None:
+    for i, (name, effort) in enumerate(zip(layout.actuators, torque.ravel(), strict=True)):
         servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=drive.kp, kv=drive.kd)
+        servo.set_to_position(kp=kp[i], kv=kd[i])
         servo.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         servo.forcerange = np.array([-effort, effort])
 

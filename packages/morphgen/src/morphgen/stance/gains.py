@@ -15,6 +15,7 @@ import numpy as np
 
 from morphgen.errors import MorphologyError
 from morphgen.skeleton import Array, Skeleton
+from morphgen.stance.inverse import JOINTS, LEGS
 from morphgen.stance.kinematics import LegPoses, forward_kinematics
 from morphgen.stance.stance import Stance
 
@@ -103,7 +104,7 @@ def gain_factors(
         row, leg, joint = np.argwhere(bad)[0]
         raise MorphologyError(
             f"design {row} {np.asarray(designs)[row]}: gain rule '{rule.kind}' gives the factor "
-            f"{eta[row, leg, joint]:g} for the {('hip', 'thigh', 'knee')[joint]} joint of leg {leg}; "
+            f"{eta[row, leg, joint]:g} for the {JOINTS[joint]} joint of leg {LEGS[leg]}; "
             "it must be positive: change the coefficients or narrow the design space"
         )
     return eta

@@ -13,8 +13,8 @@ from morphgen.skeleton import Array, Skeleton
 
 AXIS_TOLERANCE = 2e-3
 """How far an axis may lie off x or y [rad]: files write right angles as 1.57."""
-_LEGS = ("FL", "FR", "RL", "RR")
-_JOINTS = ("hip", "thigh", "knee")
+LEGS = ("FL", "FR", "RL", "RR")
+JOINTS = ("hip", "thigh", "knee")
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def sagittal_legs(body: Skeleton, knees: Sequence[int | None] | None = None) -> 
     if not np.all(length > 0):
         row, leg, part = np.argwhere(~(length > 0))[0]
         raise MorphologyError(
-            f"body {row}, leg {_LEGS[leg]}: the {('thigh', 'shank')[part]} has no length in the plane of x and z; "
+            f"body {row}, leg {LEGS[leg]}: the {('thigh', 'shank')[part]} has no length in the plane of x and z; "
             "its far joint or foot must lie off its joint axis"
         )
     rest = np.arctan2(-segment[..., 0], -segment[..., 2])
@@ -151,11 +151,11 @@ def _wrapped(angle: Array) -> Array:
 
 def _check_axes(body: Skeleton) -> None:
     for leg in range(4):
-        for k, (joint, wanted) in enumerate(zip(_JOINTS, "xyy", strict=True)):
+        for k, (joint, wanted) in enumerate(zip(JOINTS, "xyy", strict=True)):
             axis = body.axis[leg, k]
             off = np.delete(axis, "xyz".index(wanted))
             if not np.linalg.norm(off) <= AXIS_TOLERANCE:
                 raise MorphologyError(
-                    f"leg {_LEGS[leg]}: its {joint} joint turns about {np.round(axis, 4)} of the base at zero angles; "
+                    f"leg {LEGS[leg]}: its {joint} joint turns about {np.round(axis, 4)} of the base at zero angles; "
                     f"a level stance needs hip joints about x (forward) and thigh and knee joints about y"
                 )

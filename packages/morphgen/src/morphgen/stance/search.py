@@ -82,6 +82,7 @@ def candidates(body: Skeleton, legs: SagittalLegs) -> Candidates:
     ends = zero[:, None, None, :, 0] + np.stack(np.broadcast_arrays(0.0, knee_x, offset[:, None]))
     front_end, hind_end = ends.min(axis=0)[..., _FRONT].min(axis=-1), ends.max(axis=0)[..., _HIND].max(axis=-1)
     apart = front_end[..., :, None] - hind_end[..., None, :] >= 2 * radius.max(axis=1)[:, None, None, None]
+    sound &= ((body.lower[:, 0] <= 0) & (body.upper[:, 0] >= 0)).all()
     front, hind = (sound[..., pair].all(axis=-1) for pair in (_FRONT, _HIND))
     mask = (front[..., :, None] & hind[..., None, :] & apart).reshape(body.n, -1)
 

@@ -24,8 +24,8 @@ inside by a tenth of its length and width."""
 _SHARED = {"axis", "lower", "upper", "effort", "velocity", "damping", "friction"}
 _CHUNK = 256
 """Bodies searched at a time; bounds the memory."""
-_TRIES = 16
-"""Candidates per body that are looked at in one go."""
+_FIRST_TRIES, _TRIES, _TRIES_AT_ONCE = 4, 512, 2048
+"""Candidates looked at: of each body in the first round, of each body in all, of all bodies in one round."""
 
 
 @dataclass(frozen=True)
@@ -105,19 +105,21 @@ def _stand(body: Skeleton, legs: SagittalLegs, height: Array, offset: Array) -> 
 def _nearest_sound(body: Skeleton, legs: SagittalLegs) -> tuple[NDArray[np.bool_], Stance]:
     """Whether each of m bodies has a sound stance on the grid, (m,), and the one nearest to the default."""
     grid = candidates(body, legs)
-    left, cursor = np.flatnonzero(grid.count), np.zeros(body.n, dtype=int)
+    count = np.minimum(grid.count, _TRIES)
+    left, start, tries = np.flatnonzero(count), 0, _FIRST_TRIES
     height, offset, found = np.zeros(body.n), np.zeros((body.n, 4)), np.zeros(body.n, dtype=bool)
     while len(left):
-        tries = np.minimum(cursor[left, None] + np.arange(_TRIES), grid.count[left, None] - 1)
-        heights, offsets = grid.at(left[:, None], tries)
-        rows = np.repeat(left, _TRIES)
+        tries = min(tries, max(1, _TRIES_AT_ONCE // len(left)))
+        ranks = np.minimum(start + np.arange(tries), count[left, None] - 1)
+        heights, offsets = grid.at(left[:, None], ranks)
+        rows = np.repeat(left, tries)
         stance = _stand(_rows(body, rows), _leg_rows(legs, rows), heights.ravel(), offsets.reshape(-1, 4))
-        sound = stance.feasible.reshape(-1, _TRIES)
+        sound = stance.feasible.reshape(-1, tries)
         first, hit = sound.argmax(axis=1), sound.any(axis=1)
         height[left[hit]], offset[left[hit]] = heights[hit, first[hit]], offsets[hit, first[hit]]
         found[left[hit]] = True
-        cursor[left] += _TRIES
-        left = left[~hit & (cursor[left] < grid.count[left])]
+        start, tries = start + tries, 2 * tries
+        left = left[~hit & (start < count[left])]
     return found, _stand(body, legs, height, offset)
 
 

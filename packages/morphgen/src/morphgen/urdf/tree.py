@@ -9,13 +9,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from morphgen.errors import MorphologyError
+from morphgen.errors import MorphologyError, naming
 from morphgen.urdf.xml import named, parse_urdf, read_vector
 
 Array = NDArray[np.float64]
 
 ACTUATED = ("revolute", "continuous")
-JOINT_TYPES = (*ACTUATED, "fixed", "floating")
+JOINT_TYPES = (*ACTUATED, "prismatic", "fixed", "floating")
 INERTIA_KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 ShapeKind = Literal["box", "cylinder", "capsule", "sphere", "mesh"]
@@ -45,7 +45,7 @@ class Joint:
 
     Attributes:
         name: of the joint.
-        kind: revolute, continuous, fixed or floating.
+        kind: revolute, continuous, prismatic, fixed or floating.
         parent: index of the parent link.
         child: index of the child link.
         position: (3,) of the child frame in the parent's [m].
@@ -153,13 +153,12 @@ def read_tree(text: str, source: str = "URDF") -> Tree:
             roots, an unknown joint type, or a number that is none; names file and element.
     """
     root = parse_urdf(text, source)
-    try:
-        return _read(root)
-    except MorphologyError as error:
-        raise MorphologyError(f"{source}: {error}") from error
+    with naming(source):
+        return parse_tree(root)
 
 
-def _read(root: Element) -> Tree:
+def parse_tree(root: Element) -> Tree:
+    """As `read_tree`, from a parsed <robot>, to whose elements the tree stays tied."""
     elements = named(root, "link")
     if not elements:
         raise MorphologyError("the robot has no links")
@@ -288,7 +287,7 @@ def _read_shape(element: Element, link: int, collision: bool, where: str) -> Sha
         raise MorphologyError(f"{where}: <{kind}> is no known shape (box, cylinder, capsule, sphere, mesh)")
     if kind == "box" and not np.all(size > 0):
         raise MorphologyError(f"{where}: the box needs a positive size, got {size}")
-    return Shape(link, collision, kind, position, rotation, size, mesh, element)  # pyright: ignore[reportArgumentType]
+    return Shape(link, collision, kind, position, rotation, size, mesh, element)
 
 
 def _positive(element: Element, key: str, where: str) -> float:

@@ -15,8 +15,8 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
 
 from morphgen.factory import BodyFactory
-from morphgen.stance.skeleton import Array
-from morphgen.stance.solve import forward_kinematics
+from morphgen.skeleton import Array
+from morphgen.stance.kinematics import forward_kinematics
 
 MAX_COLUMNS = 3
 _INK, _DIM, _FLOOR, _WARN = "#1d2430", "#5b6675", "#c9ced6", "#b3261e"
