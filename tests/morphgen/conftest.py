@@ -1,9 +1,14 @@
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from lxml import etree
 from morphgen import BodyFactory, go2
 from morphgen.robots import GO2
 from morphgen.robots.description import build_urdf
+
+sys.path.insert(0, str(Path(__file__).parent))  # importlib mode does not
 
 CORNERS = np.array(np.meshgrid(*[(0.6, 1.4)] * 4, indexing="ij")).reshape(4, -1).T
 
