@@ -1,0 +1,1 @@
+"""What is in a URDF, and whether it can be scaled."""
