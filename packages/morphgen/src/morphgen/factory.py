@@ -44,6 +44,7 @@ class BodyFactory:
         robot: the nominal robot as read, with its collisions as primitives.
         notes: what had to be repaired or replaced in the file.
         meshes: finds the mesh files of the robot.
+        folder: of the URDF; None for a robot that came as text.
     """
 
     def __init__(
@@ -83,6 +84,7 @@ class BodyFactory:
         self.space = DesignSpace.leg_scales() if space is None else space
         self.rule: Rule = rule
         self.gains = GainRule() if gains is None else gains
+        self.folder = source.parent if isinstance(source, Path) else None
         self.meshes = MeshFinder(source if isinstance(source, Path) else None, mesh_paths)
         self._source = str(source or name)
         with naming(self._source):

@@ -23,3 +23,9 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file atomically as UTF-8."""
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a binary file atomically."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)

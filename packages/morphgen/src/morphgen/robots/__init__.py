@@ -64,6 +64,7 @@ def from_urdf(
     mesh_paths: Sequence[Path] = (),
     repair: bool = False,
     lock: Collection[str] = (),
+    hips: Mapping[str, str] | None = None,
 ) -> BodyFactory:
     """The factory of a robot of your own; arguments as for `BodyFactory`.
 
@@ -86,6 +87,7 @@ def from_urdf(
         mesh_paths=mesh_paths,
         repair=repair,
         lock=lock,
+        hips=hips,
     )
 
 

@@ -40,6 +40,13 @@ PARAMETERS: Mapping[str, str] = MappingProxyType(
 )
 """Every parameter that a `DesignSpace` can have, and its meaning. Scales have nominal 1, the placement 0."""
 
+BOUNDS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    dict.fromkeys(PARAMETERS, (0.6, 1.4))
+    | dict.fromkeys(("trunk_mass", "hip_mass", "thigh_mass", "shank_mass"), (0.7, 1.5))
+    | {"hip_offset": (0.7, 1.5), "trunk_length": (0.8, 1.3), "motor_placement": (0.0, 1.0), "foot_radius": (0.7, 1.5)}
+)
+"""Usual lower and upper bounds of every parameter: the paper's for lengths, moderate ones of ours for the rest."""
+
 _LEGS = ("fl", "fr", "rl", "rr")
 _PARTS = ("hip", "thigh", "shank")
 
@@ -130,9 +137,8 @@ class DesignSpace:
     @classmethod
     def wide(cls) -> DesignSpace:
         """The paper's four scales and hip offset, trunk length, masses and foot radius."""
-        legs = dict.fromkeys(SCALE_NAMES, (0.6, 1.4))
-        masses = dict.fromkeys(("trunk_mass", "thigh_mass", "shank_mass"), (0.8, 1.25))
-        return cls.of(**legs, hip_offset=(0.7, 1.5), trunk_length=(0.8, 1.3), **masses, foot_radius=(0.8, 1.3))
+        more = ("hip_offset", "trunk_length", "trunk_mass", "thigh_mass", "shank_mass", "foot_radius")
+        return cls.of(**{name: BOUNDS[name] for name in (*SCALE_NAMES, *more)})
 
     @property
     def dim(self) -> int:

@@ -1,0 +1,64 @@
+"""`morphgen scale` and `morphgen export`: the files of one body."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from morphgen.commands.arguments import BodyArguments
+from morphgen.export import export_body, export_mjcf, export_urdf
+from morphgen.factory import BodyFactory
+from morphgen.skeleton import Array
+from morphgen.views.dimensions import dimensions
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale(BodyArguments):
+    """Write the URDF of a scaled body and print its dimensions."""
+
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """URDF file to write."""
+    mjcf: Path | None = None
+    """Also write MJCF with free joint, servos and sensors on a flat floor."""
+    copy_meshes: bool = False
+    """Copy the meshes beside the URDF, so that the folder can be moved."""
+
+    def run(self) -> int:
+        """Write the files."""
+        factory, design = self.body()
+        mjcf = None if self.mjcf is None else factory.spec(design)  # fails before anything is written
+        export_urdf(factory, design, self.output, copy_meshes=self.copy_meshes)
+        if self.mjcf is not None and mjcf is not None:
+            export_mjcf(factory, design, self.mjcf)
+        _report(factory, design)
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Export(BodyArguments):
+    """Write a folder with everything about a body: URDF with meshes, MJCF, GLB, picture, table of parts."""
+
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder to write to."""
+
+    def run(self) -> int:
+        """Write the folder."""
+        factory, design = self.body()
+        for file in export_body(factory, design, self.output):
+            print(file)
+        _report(factory, design)
+        return 0
+
+
+def _report(factory: BodyFactory, design: Array) -> None:
+    for note in factory.notes:
+        print(note, file=sys.stderr)
+    for name, value in dimensions(factory, design).items():
+        quantity, unit = name.rsplit("_", 1)
+        print(f"{quantity.replace('_', ' '):<20} {value:8.4f} {unit}")
+    if not factory.feasible(design)[0]:
+        print("this body has no sound level stance", file=sys.stderr)
