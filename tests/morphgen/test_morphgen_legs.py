@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from lxml import etree
-from morphgen import BodyFactory, MorphologyError
+from morphgen import BodyFactory, Drive, MorphologyError
 from morphgen.urdf.legs import find_legs
+from morphgen.urdf.tree import read_tree
 from morphgen.urdf.xml import parse_urdf
 
 
@@ -14,8 +15,10 @@ def test_legs_are_found_by_topology_whatever_their_names_and_order(go2_tree, as_
         text = text.replace(f'"{leg}_', f'"{alias}_')
     root = etree.fromstring(text)
     root[:] = sorted(root, key=lambda element: element.get("name"), reverse=True)
-    found = find_legs(root)
-    assert [leg.joints[1] for leg in found.legs] == [f"{alias}_thigh_joint" for alias in "abcd"]
+    tree = read_tree(as_text(root))
+    found = find_legs(tree)
+    assert [tree.joints[leg.joints[1]].name for leg in found.legs] == [f"{alias}_thigh_joint" for alias in "abcd"]
+    assert [tree.links[leg.foot].name for leg in found.legs] == [f"{alias}_foot" for alias in "abcd"]
     assert [(leg.front, leg.left) for leg in found.legs] == [(1, 1), (1, 0), (0, 1), (0, 0)]
 
 
@@ -47,6 +50,11 @@ def wheel(root):
     root.find("joint[@name='RR_foot_joint']").set("type", "continuous")
 
 
+def bare_leg(root):
+    for link in ("RL_calf", "RL_foot"):
+        remove(f"link[@name='{link}']/collision")(root)
+
+
 def second_root(root):
     etree.SubElement(root, "link", name="lonely")
 
@@ -55,23 +63,24 @@ FAULTS = {
     "five legs": (fifth_leg, "expected 4 legs.*found 5"),
     "wheel for a foot": (wheel, "3 actuated joints in a row.*RR_hip_joint"),
     "two-joint leg": (set_attribute("joint[@name='FR_calf_joint']", type="fixed"), "3 actuated.*FR_hip_joint"),
-    "same quarter": (set_attribute("joint[@name='FR_hip_joint']/origin", xyz="0.2 0.1 0"), "same quarter"),
+    "same quarter": (set_attribute("joint[@name='FR_hip_joint']/origin", xyz="0.2 0.3 0"), "four quarters"),
     "two roots": (second_root, "one root link, found base, lonely"),
     "missing link": (remove("link[@name='RL_thigh']"), "RL_.*_joint.*'RL_thigh' does not exist"),
-    "slider": (set_attribute("joint[@name='RL_calf_joint']", type="prismatic"), "'prismatic' is not supported"),
-    "no ball foot": (remove("link[@name='RL_foot']/collision"), "'RL_calf' needs one fixed child with a sphere"),
-    "no limit": (remove("joint[@name='RL_calf_joint']/limit"), "'RL_calf_joint': needs a <limit>"),
-    "no inertial": (remove("link[@name='RL_calf']/inertial"), "'RL_calf': has no <inertial>"),
-    "zero mass": (set_attribute("link[@name='base']/inertial/mass", value="0"), "'base': mass 0 .* rigid body"),
+    "slider": (
+        set_attribute("joint[@name='RL_calf_joint']", type="prismatic"),
+        "'RL_calf_joint': a prismatic joint has no place",
+    ),
+    "nothing to stand on": (bare_leg, "'RL_calf': neither it nor its foot has a collision"),
+    "no inertial": (remove("link[@name='RL_calf']/inertial"), "'RL_calf': has no mass"),
+    "zero mass": (set_attribute("link[@name='base']/inertial/mass", value="0"), "'base'.*mass"),
     "impossible inertia": (
         set_attribute("link[@name='FL_hip']/inertial/inertia", izz="0.1"),
-        "'FL_hip'.*not that of a rigid body",
+        "'FL_hip'.*break A . B > C.*--repair",
     ),
     "no box": (remove("link[@name='FR_thigh']/collision"), "'FR_thigh'.*exactly one collision, a box"),
     "flat box": (set_attribute("link[@name='FR_thigh']/collision/geometry/box", size="1 2 3"), "square section"),
     "not numbers": (set_attribute("link[@name='FR_thigh']/inertial/mass", value="heavy"), "'heavy' is not"),
     "nan": (set_attribute("link[@name='FR_thigh']/inertial/mass", value="nan"), "finite numbers"),
-    "tilted joint": (set_attribute("joint[@name='FR_calf_joint']/origin", rpy="0 0.1 0"), "rotated origin"),
     "knee aside": (set_attribute("joint[@name='FR_calf_joint']/origin", xyz="0.1 0 -.2"), "straight below"),
     "no axis": (set_attribute("joint[@name='FR_calf_joint']/axis", xyz="0 0 0"), "axis is zero"),
 }
@@ -82,6 +91,47 @@ def test_an_unsuitable_robot_is_refused_by_file_and_element(go2_tree, as_text, e
     edit(go2_tree)
     with pytest.raises(MorphologyError, match=rf"(?s)^mine\.urdf: .*{message}"):
         BodyFactory("mine", as_text(go2_tree), source="mine.urdf")
+
+
+def test_a_joint_without_a_torque_limit_needs_one_to_be_simulated(go2_tree, as_text):
+    remove("joint[@name='RL_calf_joint']/limit")(go2_tree)
+    with pytest.raises(MorphologyError, match=r"'RL_calf_joint'.*no torque limit.*--torque-limit"):
+        BodyFactory("mine", as_text(go2_tree)).batch(np.ones(4))
+    batch = BodyFactory("mine", as_text(go2_tree), drive=Drive(torque_limit=45.43)).batch(np.ones(4))
+    assert batch.torque_limit[0, 8] == 45.43
+    assert (batch.joint_lower[0, 8], batch.joint_upper[0, 8]) == (-2 * np.pi, 2 * np.pi)
+    assert not batch.model.joint("RL_calf_joint").limited
+
+
+def test_an_arm_is_locked_by_name(go2_tree, as_text):
+    fifth_leg(go2_tree)
+    arm = [f"XX_{joint}_joint" for joint in ("hip", "thigh", "calf")]
+    locked = BodyFactory("mine", as_text(go2_tree), lock=arm)
+    assert locked.batch(np.ones(4)).total_mass[0] == pytest.approx(15.019 + 0.678 + 1.152 + 0.154 + 0.04)
+    assert "XX_calf_joint" in locked.urdf(np.ones(4))
+    with pytest.raises(MorphologyError, match="no joint 'elbow'"):
+        BodyFactory("mine", as_text(go2_tree), lock=["elbow"])
+
+
+def test_hips_can_be_named(go2_tree, as_text):
+    hips = {"FL": "RR_hip_joint", "FR": "RL_hip_joint", "RL": "FR_hip_joint", "RR": "FL_hip_joint"}
+    turned = find_legs(read_tree(as_text(go2_tree)), hips)
+    assert [leg.joints[0] for leg in turned.legs] == [
+        leg.joints[0] for leg in find_legs(read_tree(as_text(go2_tree))).legs
+    ][::-1]
+    with pytest.raises(MorphologyError, match=r"'nose' is no hip joint; joints on the trunk: FL_hip_joint"):
+        find_legs(read_tree(as_text(go2_tree)), hips | {"FL": "nose"})
+
+
+def test_a_foot_is_made_from_the_end_of_the_shank(go2_tree, as_text):
+    for leg in ("FL", "FR", "RL", "RR"):
+        for path in (f"link[@name='{leg}_foot']", f"joint[@name='{leg}_foot_joint']"):
+            remove(path)(go2_tree)
+    factory = BodyFactory("mine", as_text(go2_tree))
+    assert len(factory.notes) == 4
+    assert "'FL_calf_foot': a ball of 12 mm radius is its foot" in factory.notes[0]
+    # the shank's box is 24 mm wide and ends 213 mm below the knee
+    assert factory.skeleton(np.ones(4)).joint_origin[0, 0, 3].tolist() == pytest.approx([0, 0, -0.213 + 0.012])
 
 
 def test_thighs_about_a_wrong_axis_have_no_stance(go2_tree, as_text):
@@ -104,7 +154,7 @@ def test_thighs_about_a_wrong_axis_have_no_stance(go2_tree, as_text):
 )
 def test_xml_that_is_not_a_plain_robot_is_refused(text, message):
     with pytest.raises(MorphologyError, match=message):
-        find_legs(parse_urdf(text, "bad.urdf"))
+        read_tree(text, "bad.urdf")
 
 
 def test_an_external_file_is_not_read(tmp_path):

@@ -163,6 +163,8 @@ def _box(tree: Tree, bodies: Bodies, segment: Segment, length: Array, factor: Ar
         )
     if not np.array_equal(segment.axis_in(link), (0, 0, -1)) or shape.position[:2].any():
         raise MorphologyError(f"link '{name}': Table II needs its box and the next joint straight below it; {hint}")
+    if not bodies.mass[:, link].all():
+        raise MorphologyError(f"link '{name}': has no mass; give it an <inertial>")
     mass = bodies.mass[:, link] * length * factor
     scaled = size[2] * length
     com = np.zeros((bodies.n, 3))
