@@ -170,19 +170,41 @@ def test_right_legs_mirror_the_left_ones_where_the_vendors_do(robot, legs):
             np.testing.assert_array_equal(flip @ one.inertia @ flip, two.inertia)
 
 
+def swing(link):
+    """Inertia about a joint along y at the origin of the link."""
+    x, _, z = link.inertial.origin[:3, 3]
+    return link.inertial.inertia[1, 1] + link.inertial.mass * (x**2 + z**2)
+
+
 @ROBOT
 def test_box_legs_swing_another_inertia_than_the_vendors(robot):
-    expected = {"go2": (2.48, 0.744), "lite3": (2.083, 0.711)}[robot.name]
-
-    def swing(link):
-        x, _, z = link.inertial.origin[:3, 3]
-        return link.inertial.inertia[1, 1] + link.inertial.mass * (x**2 + z**2)
-
+    box, vendor = read(robot, "box").link_map, read(robot, "vendor").link_map
+    expected = {"go2": (2.48, 0.744), "lite3": (2.084, 0.711)}[robot.name]
     for leg in range(4):
-        for part, ratio in zip((1, 2), expected, strict=True):
-            name = names(robot, leg)[part]
-            found = swing(read(robot, "box").link_map[name]) / swing(read(robot, "vendor").link_map[name])
-            assert found == pytest.approx(ratio, abs=4e-3)
+        for name, ratio in zip(names(robot, leg)[1:3], expected, strict=True):
+            assert swing(box[name]) / swing(vendor[name]) == pytest.approx(ratio, abs=4e-3)
+
+
+# worked by hand from the vendor's second moments about the thigh joint: paper m xi ((L xi)^2/3 + b^2/12);
+# stretch xi (J_x + xi^2 J_z); lumped J - (1 - xi^3) m_r L^2/3 with a rod m_r = m c_z / (L/2)
+@ROBOT
+@pytest.mark.parametrize("rule", ["paper", "stretch", "lumped"])
+def test_thighs_under_the_rules(robot, rule):
+    expected = {
+        ("go2", "paper"): (0.541, 2.483, 6.799),
+        ("go2", "stretch"): (0.2438, 1.0, 2.6465),
+        ("go2", "lumped"): (0.4050, 1.0, 2.3236),
+        ("lite3", "paper"): (0.452, 2.084, 5.710),
+        ("lite3", "stretch"): (0.2399, 1.0, 2.6604),
+        ("lite3", "lumped"): (0.5903, 1.0, 1.9115),
+    }[robot.name, rule]
+    factory = load_robot(robot.name, rule=rule)
+    thigh = names(robot, 3)[1]
+    vendor = swing(read(robot, "vendor").link_map[thigh])
+    for scale, ratio in zip((0.6, 1.0, 1.4), expected, strict=True):
+        text = factory.urdf((1.0, 1.0, scale, 1.0))
+        scaled = yourdfpy.URDF.load(io.BytesIO(text.encode()), load_meshes=False).link_map[thigh]
+        assert swing(scaled) / vendor == pytest.approx(ratio, abs=6e-4)
 
 
 def test_box_legs_follow_table_2():
