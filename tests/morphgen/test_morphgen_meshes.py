@@ -5,7 +5,7 @@ import pytest
 import trimesh
 import yourdfpy
 from morphgen import MorphologyError
-from morphgen.urdf import meshes
+from morphgen.urdf import meshfile
 from morphgen.urdf.meshes import MeshFinder, baked, scaled
 
 WHERE = "link 'thigh' visual"
@@ -203,8 +203,15 @@ def test_nan_and_archives_in_a_dae_are_refused(tmp_path, box):
         finder.load("zip.dae", WHERE)
 
 
+def test_a_dae_with_a_broken_material_keeps_its_shape(tmp_path, box):
+    lost = '<profile_COMMON><newparam sid="s"><sampler2D><source>lost</source></sampler2D></newparam>'
+    (tmp_path / "box.dae").write_text(dae(box).replace("<profile_COMMON>", lost, 1))
+    mesh = MeshFinder(None, [tmp_path]).load("box.dae", WHERE)
+    assert mesh.volume == pytest.approx(box.volume, rel=1e-6)
+
+
 def test_huge_files_are_refused_unread(finder, monkeypatch):
-    monkeypatch.setattr(meshes, "MAX_BYTES", 100)
+    monkeypatch.setattr(meshfile, "MAX_BYTES", 100)
     with pytest.raises(MorphologyError, match="larger than"):
         finder.load("../meshes/leg.stl", WHERE)
 

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import io
 import re
-import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import trimesh
-from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 from numpy.typing import NDArray
-from trimesh.exchange.load import mesh_loaders
-from trimesh.resolvers import FilePathResolver
 from trimesh.visual.color import ColorVisuals
-from trimesh.visual.texture import TextureVisuals
 
 from morphgen.errors import MorphologyError
+from morphgen.urdf.meshfile import load_mesh
 
-FORMATS = (".dae", ".stl", ".obj", ".glb", ".ply")
-MAX_BYTES = 200 * 2**20
-_NO_COLORS = ((102, 102, 102, 255), (100, 100, 100, 255))
 _SCHEME = re.compile(r"^([A-Za-z][A-Za-z0-9+.-]+):")
 _PACKAGE = re.compile(r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
 
@@ -101,7 +94,7 @@ class MeshFinder:
         path = self.path(filename, where)
         if path not in self._loaded:
             try:
-                self._loaded[path] = _load(path)
+                self._loaded[path] = load_mesh(path)
             except MorphologyError as error:
                 raise MorphologyError(f"{where}: mesh {path} {error}") from error
         return self._loaded[path]
@@ -150,67 +143,6 @@ def _package(folder: Path) -> Path:
     return folder.parent
 
 
-def _load(path: Path) -> trimesh.Trimesh:
-    kind = path.suffix.lower()
-    if kind not in FORMATS:
-        raise MorphologyError(f"has a format that is not read; convert it to one of {', '.join(FORMATS)}")
-    if path.stat().st_size > MAX_BYTES:
-        raise MorphologyError(f"is larger than {MAX_BYTES >> 20} MiB; simplify it")
-    data = path.read_bytes()
-    if kind == ".dae":
-        _check_dae(data)
-    try:
-        contents = mesh_loaders[kind[1:]](
-            file_obj=io.BytesIO(data), file_type=kind[1:], resolver=FilePathResolver(str(path))
-        )
-        # checked here, since trimesh drops vertices that are not finite
-        broken = any(
-            not np.isfinite(part["vertices"]).all() for part in contents.get("geometry", {"": contents}).values()
-        )
-        scene = trimesh.load_scene(contents)
-        mesh = trimesh.util.concatenate([_plain(part) for part in scene.dump() if isinstance(part, trimesh.Trimesh)])
-    except Exception as error:  # the readers of five formats raise what they like
-        raise MorphologyError(f"cannot be read: {str(error) or type(error).__name__}; export it again") from error
-    if broken:
-        raise MorphologyError("has vertices that are not finite; export it again")
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise MorphologyError("has no triangles; export it again")
-    unit = re.match(r"([\d.eE+-]+) \* meters", str(mesh.metadata.get("units", "")))
-    if kind == ".dae" and unit:
-        mesh.apply_scale(float(unit[1]))
-    return mesh
-
-
-def _check_dae(data: bytes) -> None:
-    """Refuse what the reader of COLLADA would expand or hide: entities, archives and NaN."""
-    if zipfile.is_zipfile(io.BytesIO(data)):
-        raise MorphologyError("is an archive; unpack it")
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False, huge_tree=True)
-    try:
-        root = etree.fromstring(data, parser)
-    except etree.XMLSyntaxError as error:
-        raise MorphologyError(f"is not well-formed XML: {error}; export it again") from error
-    if root.getroottree().docinfo.doctype:
-        raise MorphologyError("has a DOCTYPE, which a mesh does not need; remove it")
-    # the reader takes NaN for 0
-    if any("nan" in (numbers.text or "").lower() for numbers in root.iter("{*}float_array")):
-        raise MorphologyError("has numbers that are not finite; export it again")
-
-
-def _plain(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with its material or texture as a colour of each vertex, so that parts can be joined."""
-    if isinstance(mesh.visual, TextureVisuals):
-        material = mesh.visual.material
-        colors = material.to_color(mesh.visual.uv)
-        if colors is None:
-            colors = material.main_color
-        mesh.visual = ColorVisuals(mesh)
-        # trimesh gives a default grey to an OBJ whose materials are missing
-        if not any(np.all(colors == grey) for grey in _NO_COLORS):
-            mesh.visual.vertex_colors = np.broadcast_to(colors, (len(mesh.vertices), 4))
-    return mesh
-
-
 def scaled(mesh: trimesh.Trimesh, linear: NDArray[np.float64]) -> trimesh.Trimesh:
     """A copy of a mesh with its vertices mapped by `linear` (3, 3); faces keep pointing outwards if it mirrors."""
     matrix = np.eye(4)
@@ -228,3 +160,14 @@ def baked(mesh: trimesh.Trimesh, linear: NDArray[np.float64]) -> bytes:
     data = scaled(mesh, linear).export(file_type="stl")
     assert isinstance(data, bytes)
     return data
+
+
+def read_stl(data: bytes) -> trimesh.Trimesh:
+    """A mesh from the bytes that `baked` gave, its faces in their order."""
+    return trimesh.load_mesh(io.BytesIO(data), file_type="stl")
+
+
+def face_colors(mesh: trimesh.Trimesh) -> NDArray[np.uint8] | None:
+    """(m, 4) colours of the faces; None if the mesh has no colours."""
+    visual = mesh.visual
+    return visual.face_colors if isinstance(visual, ColorVisuals) and visual.defined else None
