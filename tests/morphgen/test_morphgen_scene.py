@@ -19,7 +19,7 @@ def meshed(tmp_path):
     trunk = trimesh.creation.box((0.4, 0.1, 0.1))
     trunk.visual.face_colors = TRUNK
     trunk.export(tmp_path / "trunk.ply")
-    trimesh.creation.box((0.03, 0.05, 0.213)).apply_translation([0, 0.02, -0.1]).export(tmp_path / "thigh.stl")
+    trimesh.creation.box((0.03, 0.05, 0.213)).apply_translation([0, 0.02, 0]).export(tmp_path / "thigh.stl")
     trimesh.creation.cone(0.02, 0.2).apply_translation([0, 0, -0.1]).export(tmp_path / "calf.stl")
 
     def show(link, mesh, **attributes):
