@@ -280,6 +280,9 @@ def oblique_foot(robot: Robot, folder: Path) -> None:
     """ANYmal: the foot lies ahead of the shank and inwards of it."""
     for ankle, _, y in each(robot, "joint", "foot_joint"):
         ankle.find("origin").set("xyz", f"0.07 {-0.02 * y} -0.22")
+    for shank, _, y in each(robot, "link", "shank"):
+        shank.find("collision/origin").set("xyz", f"0.03 {-0.009 * y} -0.1")
+        shank.find("collision/origin").set("rpy", f"{-0.09 * y} -0.308 0")
 
 
 def heavy_foot_link(robot: Robot, folder: Path) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 from rich.console import Console
@@ -28,8 +29,8 @@ class Inspect:
     """The robot."""
     json: bool = False
     """Print JSON for machines."""
-    mesh_path: tuple[Path, ...] = ()
-    """Folders in which meshes are looked for."""
+    mesh_path: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """Folder in which meshes and packages are looked for; may be given several times."""
     repair: bool = False
     """Repair impossible inertias instead of refusing them."""
     lock: tuple[str, ...] = ()

@@ -150,7 +150,8 @@ def _set_inertial(body: mujoco.MjsBody, mass: float, com: Array, inertia: Array)
         return
     body.explicitinertial = True
     body.mass, body.ipos = mass, com
-    body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    if inertia.any():  # else a point mass, which MuJoCo takes on bodies without a joint
+        body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _add_geoms(robot: mujoco.MjSpec, collisions: Collisions, layout: Layout) -> None:

@@ -29,11 +29,12 @@ def with_feet(tree: Tree, leg_map: LegMap) -> tuple[Tree, list[str]]:
     Raises:
         MorphologyError: a shank without any collision to stand on.
     """
-    if all(has_ball(tree, leg.foot) for leg in leg_map.legs):
+    footless = [leg for leg in leg_map.legs if leg.foot == leg.parts[2].root or not has_ball(tree, leg.foot)]
+    if not footless:
         return tree, []
     root = copy.deepcopy(tree.element)
     edited = parse_tree(root)
-    notes = [_give_foot(edited, leg) for leg in leg_map.legs if not has_ball(edited, leg.foot)]
+    notes = [_give_foot(edited, leg) for leg in footless]
     return parse_tree(root), notes
 
 
