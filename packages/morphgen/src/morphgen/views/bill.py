@@ -54,7 +54,9 @@ def write_bill(path: Path, factory: BodyFactory, design: ArrayLike) -> None:
     """Write `bill_of_parts` as CSV, units in the column names, with a line for the whole robot at the end."""
     rows = bill_of_parts(factory, design)
     mass, nominal = (sum(float(row[key]) for row in rows) for key in ("mass_kg", "nominal_mass_kg"))
-    rows.append({"part": "robot", "mass_kg": mass, "nominal_mass_kg": nominal, "changed": any(r["changed"] for r in rows)})
+    rows.append(
+        {"part": "robot", "mass_kg": mass, "nominal_mass_kg": nominal, "changed": any(r["changed"] for r in rows)}
+    )
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, restval="")
     writer.writeheader()
@@ -73,7 +75,9 @@ def _trunk(body: Skeleton) -> Numbers:
 
 
 def _part(body: Skeleton, leg: int, part: int) -> Numbers:
-    length = float(body.foot_radius[0, leg]) if part == 3 else float(np.linalg.norm(body.joint_origin[0, leg, part + 1]))
+    length = (
+        float(body.foot_radius[0, leg]) if part == 3 else float(np.linalg.norm(body.joint_origin[0, leg, part + 1]))
+    )
     return length, float(body.link_mass[0, leg, part]), body.link_com[0, leg, part], body.link_inertia[0, leg, part]
 
 

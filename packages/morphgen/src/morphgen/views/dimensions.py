@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from morphgen.factory import BodyFactory
+from morphgen.stance.reach import leg_reach
 
 SEGMENTS = ("thigh", "shank")
 
@@ -15,18 +15,15 @@ def dimensions(factory: BodyFactory, design: ArrayLike) -> dict[str, float]:
 
     Left legs stand for both sides. Lengths run from joint axis to joint axis, or to the foot centre; masses
     are of one segment. The reach is the longest distance from thigh joint to foot centre that the knee
-    allows.
+    allows, in the leg's plane.
     """
-    body = factory.skeleton(np.asarray(design, dtype=np.float64)[None])
-    stance = factory.stance(np.asarray(design, dtype=np.float64)[None])
+    body, stance = factory.skeleton(design), factory.stance(design)
     table: dict[str, float] = {}
     for leg, pair in ((0, "front"), (2, "hind")):
         for part, segment in enumerate(SEGMENTS):
             table[f"{pair}_{segment}_length_m"] = float(body.segment_length[0, leg, part])
             table[f"{pair}_{segment}_mass_kg"] = float(body.link_mass[0, leg, part + 1])
-        thigh, shank = body.segment_length[0, leg]
-        knee = np.abs([body.lower[leg, 2], body.upper[leg, 2]]).min()
-        table[f"{pair}_leg_reach_m"] = float(np.sqrt(thigh**2 + shank**2 + 2 * thigh * shank * np.cos(knee)))
+        table[f"{pair}_leg_reach_m"] = float(leg_reach(body)[0, leg, 1])
     table["foot_radius_m"] = float(body.foot_radius[0])
     table["hip_spacing_m"] = float(body.joint_origin[0, 0, 0, 0] - body.joint_origin[0, 2, 0, 0])
     table["stance_hip_height_m"] = float(stance.hip_height[0])
