@@ -1,4 +1,4 @@
-"""Random quadrupeds as skeletons, and the MuJoCo model of one, built part by part."""
+"""Random quadrupeds as skeletons, and the MuJoCo spec of one, built part by part."""
 
 # pyright: reportAttributeAccessIssue=false
 from __future__ import annotations
@@ -82,7 +82,7 @@ def straight_skeleton(thigh: float = 0.25, shank: float = 0.25, n: int = 1) -> S
     )
 
 
-def build_model(body: Skeleton, row: int = 0, *, kp: float = 0.0, kd: float = 0.0) -> mujoco.MjModel:
+def build_spec(body: Skeleton, row: int = 0, *, kp: float = 0.0, kd: float = 0.0) -> mujoco.MjSpec:
     """One of the bodies, free above a plane at z = 0, with position servos where kp is given.
 
     Feet are spheres; every other joint carries a sphere of 1 cm, named as its body, so that a knee that meets the
@@ -111,14 +111,14 @@ def build_model(body: Skeleton, row: int = 0, *, kp: float = 0.0, kd: float = 0.
             if kp:
                 servo = spec.add_actuator(name=parent.name, target=parent.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
                 servo.set_to_position(kp=kp, kv=kd)
-    return spec.compile()
+    return spec
 
 
 def posed(
     body: Skeleton, angles: np.ndarray, height: float = 0.0, row: int = 0
 ) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """Model and data of one body with its base level at a height and the joints at angles (4, 3)."""
-    model = build_model(body, row)
+    model = build_spec(body, row).compile()
     data = mujoco.MjData(model)
     data.qpos[:] = [0, 0, height, 1, 0, 0, 0, *angles.ravel()]
     mujoco.mj_forward(model, data)

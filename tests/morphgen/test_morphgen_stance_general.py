@@ -12,7 +12,7 @@ from morphgen.skeleton import Skeleton
 from morphgen.stance.inverse import leg_angles, sagittal_legs
 from morphgen.stance.stance import solve_stance
 from numpy.testing import assert_allclose
-from random_skeletons import LEGS, build_model, posed, random_skeleton, straight_skeleton
+from random_skeletons import LEGS, build_spec, posed, random_skeleton, straight_skeleton
 
 ALIKE = settings(deadline=None, derandomize=True, max_examples=60)
 
@@ -281,7 +281,7 @@ def test_random_quadrupeds_are_held_for_three_seconds_on_their_feet():
     assert stance.feasible.sum() >= 12
     for row in np.flatnonzero(stance.feasible)[:12]:
         kp = 4 * body.total_mass[row]
-        model = build_model(body, row, kp=kp, kd=kp / 50)
+        model = build_spec(body, row, kp=kp, kd=kp / 50).compile()
         data = mujoco.MjData(model)
         data.qpos[:] = [0, 0, stance.base_height[row], 1, 0, 0, 0, *stance.joints[row].ravel()]
         data.ctrl[:] = (stance.joints[row] + stance.torque[row] / kp).ravel()

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from morphgen.scaling.articulate import Collisions
 from morphgen.skeleton import Array, Skeleton
+from morphgen.stance.clearance import links_clear
 from morphgen.stance.inverse import SagittalLegs, leg_angles, sagittal_legs
 from morphgen.stance.kinematics import forward_kinematics
 from morphgen.stance.search import HEIGHT_RATIO, candidates, knee_clearance
@@ -21,6 +24,7 @@ from morphgen.stance.statics import GRAVITY, foot_load, static_torque
 LEAST_LOAD = 0.05
 """Share of the weight that each foot must carry at least; on a rectangle of feet the centre of mass then lies
 inside by a tenth of its length and width."""
+_Arrays = TypeVar("_Arrays", Skeleton, SagittalLegs, Collisions)
 _SHARED = {"axis", "lower", "upper", "effort", "velocity", "damping", "friction"}
 _CHUNK = 256
 """Bodies searched at a time; bounds the memory."""
@@ -51,31 +55,56 @@ class Stance:
     feasible: NDArray[np.bool_]
 
 
-def solve_stance(body: Skeleton, knees: Sequence[int | None] | None = None) -> Stance:
+def solve_stance(
+    body: Skeleton, knees: Sequence[int | None] | None = None, *, collisions: Collisions | None = None
+) -> Stance:
     """Stances of n bodies; see `Stance`.
 
     Args:
         body: n bodies.
         knees: for each leg (FL, FR, RL, RR) 1 for a knee that bends backwards, -1 for one that bends forwards, or
             None for the side that the joint limits tell, backwards if they do not.
+        collisions: primitives of the bodies, to be kept off the floor; None looks at the knee joints alone.
 
     Raises:
         MorphologyError: hips do not turn about x, or thighs and knees about y, at zero angles.
     """
     legs = sagittal_legs(body, knees)
     height = HEIGHT_RATIO * legs.length.sum(axis=-1).min(axis=1)
-    stance = _stand(body, legs, height, np.zeros((body.n, 4)))
+    everyone = _Bodies(body, legs, collisions)
+    stance = _stand(everyone, height, np.zeros((body.n, 4)))
     unsound = np.flatnonzero(~stance.feasible)
     for start in range(0, len(unsound), _CHUNK):
         rows = unsound[start : start + _CHUNK]
-        found, better = _nearest_sound(_rows(body, rows), _leg_rows(legs, rows))
+        found, better = _nearest_sound(everyone.take(rows))
         for field in fields(Stance):
             getattr(stance, field.name)[rows[found]] = getattr(better, field.name)[found]
     return stance
 
 
-def _stand(body: Skeleton, legs: SagittalLegs, height: Array, offset: Array) -> Stance:
+@dataclass(frozen=True)
+class _Bodies:
+    skeleton: Skeleton
+    legs: SagittalLegs
+    collisions: Collisions | None
+
+    def take(self, rows: NDArray[np.intp]) -> _Bodies:
+        own = [field.name for field in fields(Skeleton) if field.name not in _SHARED]
+        shapes = self.collisions
+        return _Bodies(
+            _take(self.skeleton, own, rows),
+            _take(self.legs, ["length", "rest", "bend"], rows),
+            None if shapes is None else _take(shapes, ["position", "rotation", "size"], rows),
+        )
+
+
+def _take(item: _Arrays, names: Sequence[str], rows: NDArray[np.intp]) -> _Arrays:
+    return replace(item, **{name: getattr(item, name)[rows] for name in names})
+
+
+def _stand(bodies: _Bodies, height: Array, offset: Array) -> Stance:
     """Stances with thigh joints at a mean height (n,) above the feet's centres and feet offset (n, 4) forward [m]."""
+    body, legs = bodies.skeleton, bodies.legs
     n = body.n
     zero = forward_kinematics(body, np.zeros((n, 4, 3)))
     hip_z = zero.joint[:, :, 1, 2]
@@ -92,46 +121,41 @@ def _stand(body: Skeleton, legs: SagittalLegs, height: Array, offset: Array) -> 
     balanced = load >= LEAST_LOAD * GRAVITY * body.total_mass[:, None]
     torque = static_torque(body, poses, load)
     strong = np.abs(torque) < body.effort
+    feasible = (solution.reachable & clear & balanced).all(axis=1) & (within & strong).all(axis=(1, 2))
+    if bodies.collisions is not None:
+        feasible &= links_clear(body, poses, base_height, bodies.collisions)
     return Stance(
         joints=angles,
         torque=np.clip(torque, -body.effort, body.effort),
         base_height=base_height,
         hip_height=base_height + poses.joint[:, :, 1, 2].mean(axis=1),
         foot_offset=poses.joint[:, :, 3, 0] - poses.joint[:, :, 1, 0],
-        feasible=(solution.reachable & clear & balanced).all(axis=1) & (within & strong).all(axis=(1, 2)),
+        feasible=feasible,
     )
 
 
-def _nearest_sound(body: Skeleton, legs: SagittalLegs) -> tuple[NDArray[np.bool_], Stance]:
+def _nearest_sound(bodies: _Bodies) -> tuple[NDArray[np.bool_], Stance]:
     """Whether each of m bodies has a sound stance on the grid, (m,), and the one nearest to the default."""
-    grid = candidates(body, legs)
+    m = bodies.skeleton.n
+    grid = candidates(bodies.skeleton, bodies.legs)
     count = np.minimum(grid.count, _TRIES)
     left, start, tries = np.flatnonzero(count), 0, _FIRST_TRIES
-    height, offset, found = np.zeros(body.n), np.zeros((body.n, 4)), np.zeros(body.n, dtype=bool)
+    height, offset, found = np.zeros(m), np.zeros((m, 4)), np.zeros(m, dtype=bool)
     while len(left):
         tries = min(tries, max(1, _TRIES_AT_ONCE // len(left)))
         ranks = np.minimum(start + np.arange(tries), count[left, None] - 1)
         heights, offsets = grid.at(left[:, None], ranks)
         rows = np.repeat(left, tries)
-        stance = _stand(_rows(body, rows), _leg_rows(legs, rows), heights.ravel(), offsets.reshape(-1, 4))
+        stance = _stand(bodies.take(rows), heights.ravel(), offsets.reshape(-1, 4))
         sound = stance.feasible.reshape(-1, tries)
         first, hit = sound.argmax(axis=1), sound.any(axis=1)
         height[left[hit]], offset[left[hit]] = heights[hit, first[hit]], offsets[hit, first[hit]]
         found[left[hit]] = True
         start, tries = start + tries, 2 * tries
         left = left[~hit & (start < count[left])]
-    return found, _stand(body, legs, height, offset)
+    return found, _stand(bodies, height, offset)
 
 
 def _lift(joint: Array, base_height: Array, foot_radius: Array) -> Array:
     """How far to raise each base so that its lowest foot sphere touches the floor."""
     return -(base_height[:, None] + joint[:, :, 3, 2] - foot_radius).min(axis=1)
-
-
-def _rows(body: Skeleton, rows: NDArray[np.intp]) -> Skeleton:
-    own = (field.name for field in fields(Skeleton) if field.name not in _SHARED)
-    return replace(body, **{name: getattr(body, name)[rows] for name in own})
-
-
-def _leg_rows(legs: SagittalLegs, rows: NDArray[np.intp]) -> SagittalLegs:
-    return replace(legs, length=legs.length[rows], rest=legs.rest[rows], bend=legs.bend[rows])
