@@ -138,7 +138,7 @@ class BodyFactory:
         stance = solve_stance(bodies)
         model = self.spec(self.space.nominal, scene).compile()
         nominal = (self._nominal, self._collisions)
-        fields = model_fields(model, nominal, bodies, collisions, self.layout, turning=self.rule != "paper")
+        fields = model_fields(model, nominal, bodies, collisions, self.layout)
         eta = self._eta(checked, bodies, stance).reshape(-1, 12)
         kp, kd = self.drive.kp * eta, self.drive.kd * eta
         if self.gains.kind != "none":

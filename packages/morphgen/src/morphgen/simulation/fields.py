@@ -14,6 +14,7 @@ from morphgen.skeleton import Array, Skeleton
 
 _ALWAYS = ("body_mass", "body_inertia", "body_pos", "body_ipos", "geom_pos", "geom_size")
 _TURNING = ("body_iquat", "geom_quat")
+_SAME = mujoco.mjtSameFrame
 
 
 def model_fields(
@@ -22,25 +23,21 @@ def model_fields(
     bodies: Skeleton,
     collisions: Collisions,
     layout: Layout,
-    *,
-    turning: bool,
 ) -> dict[str, Array]:
     """The MjModel fields that scaling changes, (n, *shape): masses, inertias, joints and primitives.
 
-    Parts equal to the nominal ones keep the compiler's numbers.
+    Parts equal to the nominal ones keep the compiler's numbers. Orientations are among the fields if any changes.
 
     Args:
-        model: the compiled nominal body; with `turning`, its shortcuts for aligned frames (`body_sameframe`,
-            `geom_sameframe`) are switched off where scaling breaks them.
+        model: the compiled nominal body; its shortcuts for aligned frames (`body_sameframe`, `geom_sameframe`)
+            are switched off where scaling breaks them.
         nominal: the numbers of that body.
         bodies: numbers of n bodies.
         collisions: their geoms.
         layout: names.
-        turning: whether principal axes and geoms may turn; False keeps them parallel to their bodies.
     """
     n = bodies.n
-    names = _ALWAYS + (_TURNING if turning else ())
-    fields = {name: np.repeat(np.asarray(getattr(model, name))[None], n, axis=0) for name in names}
+    fields = {name: np.repeat(np.asarray(getattr(model, name))[None], n, axis=0) for name in (*_ALWAYS, *_TURNING)}
     parts = [(-1, -1), *((leg, part) for leg in range(4) for part in range(4))]
     for leg, part in parts:
         body = model.body(layout.body(leg, part)).id
@@ -61,11 +58,10 @@ def model_fields(
         geom = model.geom(name).id
         fields["geom_size"][:, geom] = geom_size(collisions.kind[g], collisions.size[:, g])
         fields["geom_pos"][:, geom] = collisions.position[:, g]
-        if turning and (collisions.rotation[:, g] != nominal[1].rotation[:, g]).any():
+        if (collisions.rotation[:, g] != nominal[1].rotation[:, g]).any():
             fields["geom_quat"][:, geom] = rotation_to_quat(collisions.rotation[:, g])
-    if turning:
-        _drop_shortcuts(model, fields)
-    return fields
+    _drop_shortcuts(model, fields)
+    return {k: v for k, v in fields.items() if k in _ALWAYS or (v != getattr(model, k)).any()}
 
 
 def geom_names(collisions: Collisions, layout: Layout) -> list[str]:
@@ -82,8 +78,7 @@ def geom_names(collisions: Collisions, layout: Layout) -> list[str]:
 def _write_inertia(fields: dict[str, Array], body: int, inertia: Array) -> None:
     if not inertia[:, [0, 0, 1], [1, 2, 2]].any():
         fields["body_inertia"][:, body] = inertia[:, range(3), range(3)]
-        if "body_iquat" in fields:
-            fields["body_iquat"][:, body] = (1, 0, 0, 0)
+        fields["body_iquat"][:, body] = (1, 0, 0, 0)
         return
     values, vectors = np.linalg.eigh(inertia)
     vectors[..., 0] *= np.sign(np.linalg.det(vectors))[:, None]
@@ -92,15 +87,21 @@ def _write_inertia(fields: dict[str, Array], body: int, inertia: Array) -> None:
 
 
 def _drop_shortcuts(model: mujoco.MjModel, fields: dict[str, Array]) -> None:
-    for name, position, rotation in (
-        ("body_sameframe", "body_ipos", "body_iquat"),
-        ("geom_sameframe", "geom_pos", "geom_quat"),
+    """Reset the flags by which MuJoCo takes one frame for another, where that is wrong for any body."""
+    here, level = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    of_body = (here, level, _SAME.mjSAMEFRAME_BODY, _SAME.mjSAMEFRAME_BODYROT)
+    owner = model.geom_bodyid
+    of_inertia = (
+        fields["body_ipos"][:, owner],
+        fields["body_iquat"][:, owner],
+        _SAME.mjSAMEFRAME_INERTIA,
+        _SAME.mjSAMEFRAME_INERTIAROT,
+    )
+    for flags, position, rotation, frames in (
+        (model.body_sameframe, fields["body_ipos"], fields["body_iquat"], [of_body]),
+        (model.geom_sameframe, fields["geom_pos"], fields["geom_quat"], [of_body, of_inertia]),
     ):
-        changed = np.zeros(len(getattr(model, name)), dtype=bool)
-        for field in (position, rotation):
-            changed |= (fields[field] != np.asarray(getattr(model, field))).any(axis=(0, 2))
-        if name == "geom_sameframe":  # it may also mean the frame of a body's inertia
-            changed |= np.isin(
-                model.geom_bodyid, np.flatnonzero((fields["body_ipos"] != model.body_ipos).any(axis=(0, 2)))
-            )
-        getattr(model, name)[changed] = 0
+        for place, turn, same, parallel in frames:
+            turned = (rotation != turn).any(axis=(0, 2))
+            moved = (position != place).any(axis=(0, 2))
+            flags[((flags == same) & (moved | turned)) | ((flags == parallel) & turned)] = _SAME.mjSAMEFRAME_NONE
