@@ -97,9 +97,7 @@ class BodyFactory:
         self.robot, self.notes = prepare(urdf, self._source, self.meshes, repair=repair, lock=lock, hips=hips)
         self._links = nominal_bodies(self.robot.tree)
         # all rules meet their demands on the robot here, not when the first body is made
-        bodies = self._bodies(self.space.nominal[None])
-        self._nominal, self._collisions = articulate(self.robot, bodies)
-        self._nominal_stance = solve_stance(self._nominal)
+        self._nominal, self._collisions, self._nominal_stance = self._make(self.space.nominal[None])
         self.layout = make_layout(self.name, self.robot.tree, self.robot.leg_map, self._nominal)
 
     def urdf(self, design: ArrayLike) -> str:
@@ -117,8 +115,8 @@ class BodyFactory:
     def spec(self, design: ArrayLike, scene: mujoco.MjSpec | None = None) -> mujoco.MjSpec:
         """A fresh MuJoCo spec of one design (d,)."""
         designs = self._one(design)
-        body, collisions = articulate(self.robot, self._bodies(designs))
-        gains = self._eta(designs, body, solve_stance(body)).reshape(12)
+        body, collisions, stance = self._make(designs)
+        gains = self._eta(designs, body, stance).reshape(12)
         return build_spec(
             body, collisions, self.layout, self.drive, self.drive.kp * gains, self.drive.kd * gains, scene
         )
@@ -134,8 +132,7 @@ class BodyFactory:
             MorphologyError: a design out of bounds; names row and parameter.
         """
         checked = self.space.validated(designs)
-        bodies, collisions = articulate(self.robot, self._bodies(checked))
-        stance = solve_stance(bodies)
+        bodies, collisions, stance = self._make(checked)
         model = self.spec(self.space.nominal, scene).compile()
         nominal = (self._nominal, self._collisions)
         fields = model_fields(model, nominal, bodies, collisions, self.layout)
@@ -155,7 +152,7 @@ class BodyFactory:
 
     def stance(self, designs: ArrayLike) -> Stance:
         """Stances of the designs (n, d)."""
-        return solve_stance(self.skeleton(designs))
+        return self._make(self.space.validated(designs))[2]
 
     def feasible(self, designs: ArrayLike) -> NDArray[np.bool_]:
         """Whether each design (n, d) has a sound level stance, (n,)."""
@@ -179,6 +176,10 @@ class BodyFactory:
 
     def _bodies(self, designs: Array, *, visuals: bool = False) -> Bodies:
         return scale_bodies(self.robot, self.space.morphology(designs), self.rule, visuals=visuals)
+
+    def _make(self, designs: Array) -> tuple[Skeleton, Collisions, Stance]:
+        skeleton, collisions = articulate(self.robot, self._bodies(designs))
+        return skeleton, collisions, solve_stance(skeleton, collisions=collisions)
 
     def _scaled(self, design: ArrayLike, *, bake: bool) -> ScaledUrdf:
         designs = self._one(design)
