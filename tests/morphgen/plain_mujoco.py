@@ -13,11 +13,12 @@ def compile_urdf(text: str) -> mujoco.MjModel:
     for link in root.findall("link"):
         for visual in link.findall("visual"):  # MuJoCo refuses several materials and cannot find packages
             link.remove(visual)
+    for joint in root.findall("joint[@type='floating']"):  # which it only takes on top of a link called world
+        joint.set("type", "fixed")
     spec = mujoco.MjSpec.from_string(etree.tostring(root, encoding="unicode"))
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE
     spec.compiler.fusestatic = False
-    if not root.findall("joint[@type='floating']"):
-        spec.worldbody.first_body().add_freejoint()
+    spec.worldbody.first_body().add_freejoint()
     return spec.compile()
 
 

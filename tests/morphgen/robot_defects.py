@@ -203,8 +203,8 @@ def continuous_joints(robot: Robot, folder: Path) -> None:
 
 
 def floating_root(robot: Robot, folder: Path) -> None:
-    """HyQReal 2: a world link and a floating joint above the trunk."""
-    add(robot, link("world"), joint("floating_base", "floating", "world", "trunk"))
+    """HyQReal 2: an empty link and a floating joint above the trunk."""
+    add(robot, link("root"), joint("floating_base", "floating", "root", "trunk"))
 
 
 def dummy_root(robot: Robot, folder: Path) -> None:
@@ -288,9 +288,12 @@ def oblique_foot(robot: Robot, folder: Path) -> None:
 def heavy_foot_link(robot: Robot, folder: Path) -> None:
     """ANYmal C: the foot link's frame is at the ground, its structure reaches up the shank."""
     for foot, _, _ in each(robot, "link", "foot"):
+        ball = foot.find("collision")
         foot.remove(foot.find("inertial"))
+        foot.remove(ball)
         add(foot, inertial(0.24, (0, 0, 0.12), (9e-4, 9e-4, 2e-5)))
         add(foot, shape("collision", '<cylinder radius="0.012" length="0.16"/>', "0 0 0.1"))
+        foot.append(ball)
 
 
 def rotated_boxes(robot: Robot, folder: Path) -> None:
@@ -380,6 +383,25 @@ def no_foot_link(robot: Robot, folder: Path) -> None:
         for tag, name in (("link", f"{leg}_foot"), ("joint", f"{leg}_foot_joint")):
             robot.remove(find(robot, tag, name))
         add(shank, shape("collision", f'<sphere radius="{FOOT_RADIUS}"/>', f"0 0 {-SHANK}"))
+
+
+def no_ball(robot: Robot, folder: Path) -> None:
+    """The paper's Lite3, older still: the leg ends with a box, and nothing round touches the ground."""
+    no_foot_link(robot, folder)
+    for shank, _, _ in each(robot, "link", "shank"):
+        for collision in shank.findall("collision"):
+            shank.remove(collision)
+        add(shank, shape("collision", f'<box size="0.04 0.04 {SHANK}"/>', f"0 0 {-SHANK / 2}"))
+
+
+def mesh_shanks(robot: Robot, folder: Path) -> None:
+    """Solo, mini-cheetah: the mesh of the shank encloses the foot."""
+    mesh = trimesh.creation.box((0.04, 0.024, SHANK + FOOT_RADIUS))
+    mesh.apply_translation((0, 0, -(SHANK + FOOT_RADIUS) / 2))
+    mesh.export(folder / "shank.stl")
+    for shank, _, _ in each(robot, "link", "shank"):
+        shank.remove(shank.find("collision"))
+        add(shank, shape("collision", '<mesh filename="shank.stl"/>'))
 
 
 # needs repair
@@ -546,6 +568,8 @@ OTHER = _by_name(
     rounded_angles,
     mirrored_meshes,
     no_foot_link,
+    no_ball,
+    mesh_shanks,
 )
 REPAIRABLE = _by_name(invalid_sensor, invalid_shank, indefinite_thigh, zero_shank)
 REFUSED = _by_name(

@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping
 
 from morphgen.scaling.bodies import Robot
 from morphgen.scaling.segments import find_segments
-from morphgen.urdf.feet import with_feet
+from morphgen.urdf.feet import clear_feet, with_feet
 from morphgen.urdf.fit import with_primitives
 from morphgen.urdf.legs import find_legs, lock_joints
 from morphgen.urdf.meshes import MeshFinder
@@ -42,9 +42,10 @@ def prepare(
     tree, notes = with_valid_inertia(read_tree(text, source), allow_repair=repair)
     tree = lock_joints(tree, lock)
     leg_map = find_legs(tree, hips)
-    replaced = [s for s in tree.shapes if s.collision and s.kind == "mesh"]
+    replaced = [g for g, s in enumerate(tree.shapes) if s.collision and s.kind == "mesh"]
     if replaced:
-        tree = lock_joints(with_primitives(tree, meshes, [leg.foot for leg in leg_map.legs]), lock)
+        tree = with_primitives(tree, meshes, [leg.foot for leg in leg_map.legs])
+        tree = lock_joints(clear_feet(tree, leg_map, replaced), lock)
         notes.append(f"{len(replaced)} collision meshes were replaced by primitives around them")
     tree, made = with_feet(tree, leg_map)
     tree = lock_joints(tree, lock)

@@ -19,7 +19,7 @@ TRUNK, HIP, THIGH, SHANK, FOOT = range(-1, 4)
 
 @dataclass(frozen=True)
 class Collisions:
-    """Collision primitives of n bodies, in the frames of `Skeleton`'s parts.
+    """Collision primitives of n bodies, in the frames of `Skeleton`'s parts; of a foot the ball first.
 
     Attributes:
         leg: (G,) leg of each, -1 for the trunk.
@@ -165,6 +165,8 @@ def _limits(tree: Tree, j: int) -> tuple[float, ...]:
 def _collisions(robot: Robot, bodies: Bodies, placed: dict[tuple[int, int], _Placed]) -> Collisions:
     tree = robot.tree
     feet = {leg.foot for leg in robot.leg_map.legs}
+    balls = {ball_index(tree, foot) for foot in feet}
+    indices: list[int] = []
     rows: list[tuple[int, int, str, Array, Array, Array]] = []
     for (leg, k), place in placed.items():
         for at, link in enumerate(place.part.links):
@@ -181,6 +183,7 @@ def _collisions(robot: Robot, bodies: Bodies, placed: dict[tuple[int, int], _Pla
                     )
                 position = place.displacement[:, at] + _turned(turn, bodies.shape_position[:, g])
                 rotation = bodies.shape_rotation[:, g]
+                indices.append(g)
                 rows.append(
                     (
                         leg,
@@ -191,7 +194,8 @@ def _collisions(robot: Robot, bodies: Bodies, placed: dict[tuple[int, int], _Pla
                         bodies.shape_size[:, g],
                     )
                 )
-    order = sorted(range(len(rows)), key=lambda r: rows[r][:2])
+    # the ball comes first, as the geom that is the foot
+    order = sorted(range(len(rows)), key=lambda r: (*rows[r][:2], indices[r] not in balls))
     rows = [rows[r] for r in order]
     return Collisions(
         leg=tuple(row[0] for row in rows),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Collection
 
 import numpy as np
 
@@ -38,6 +39,60 @@ def with_feet(tree: Tree, leg_map: LegMap) -> tuple[Tree, list[str]]:
     return parse_tree(root), notes
 
 
+def clear_feet(tree: Tree, leg_map: LegMap, shapes: Collection[int]) -> Tree:
+    """A copy in which these collisions of the shanks end above the balls of the feet, which so touch first.
+
+    Args:
+        tree: the robot.
+        leg_map: its legs.
+        shapes: indices of collisions that enclose a mesh, and with it perhaps the foot.
+    """
+    edited = parse_tree(copy.deepcopy(tree.element))
+    for leg in leg_map.legs:
+        shank = leg.parts[2]
+        if leg.foot == shank.root or not has_ball(tree, leg.foot):
+            continue
+        ball = edited.shapes[ball_index(edited, leg.foot)]
+        at = shank.links.index(leg.foot)
+        centre = shank.position[at] + shank.rotation[at] @ ball.position
+        for g in shapes:
+            if edited.shapes[g].link in shank.links and edited.shapes[g].link != leg.foot:
+                _clear(edited.shapes[g], shank, centre, float(ball.size[0]))
+    return parse_tree(edited.element)
+
+
+def _clear(shape: Shape, shank: Part, ball: Array, radius: float) -> None:
+    """Shorten a shape in place so that its rim stays above the ball (centre in the shank frame) when the leg leans."""
+    i = shank.links.index(shape.link)
+    axes = shank.rotation[i] @ shape.rotation
+    along = axes.T @ (ball / np.linalg.norm(ball))
+    k = int(np.argmax(np.abs(along)))
+    if shape.kind == "sphere" or (shape.kind != "box" and k != 2):  # lies across the leg
+        return
+    entry = k if shape.kind == "box" else 1
+    length = float(shape.size[entry])
+    outwards = float(np.sign(along[k])) * shape.rotation[:, k]
+    way = shank.rotation[i].T @ (ball - shank.position[i]) - shape.position
+    width = float(np.delete(shape.size, k).max()) if shape.kind == "box" else 2 * float(shape.size[0])
+    cap = width / 2 if shape.kind == "capsule" else 0.0
+    # a stub stays where the ball is as thick as the shank is long
+    cut = min(length / 2 + cap + max(radius, width) - float(way @ outwards), 0.9 * length)
+    if cut <= 0:
+        return
+    origin, geometry = shape.element.find("origin"), shape.element.find(f"geometry/{shape.kind}")
+    assert geometry is not None
+    if origin is None:
+        origin = shape.element.makeelement("origin", {})
+        shape.element.append(origin)
+    origin.set("xyz", format_vector(shape.position - cut / 2 * outwards))
+    size = shape.size.copy()
+    size[entry] -= cut
+    if shape.kind == "box":
+        geometry.set("size", format_vector(size))
+    else:
+        geometry.set("length", format_vector(size[1:2]))
+
+
 def _give_foot(tree: Tree, leg: Leg) -> str:
     shank = leg.parts[2]
     name = tree.links[shank.root].name
@@ -58,6 +113,8 @@ def _give_foot(tree: Tree, leg: Leg) -> str:
         local = shank.rotation[i].T @ (centre - shank.position[i])
     if shape.kind == "sphere":  # the foot takes it over
         tree.links[shape.link].element.remove(shape.element)
+    else:
+        _clear(shape, shank, centre, radius)
     link.append(_sphere(link, local, radius))
     return (
         f"link '{link.get('name')}': a ball of {radius * 1000:.0f} mm radius is its foot, made from the "
