@@ -24,7 +24,7 @@ def dimensions(factory: BodyFactory, design: ArrayLike) -> dict[str, float]:
             table[f"{pair}_{segment}_length_m"] = float(body.segment_length[0, leg, part])
             table[f"{pair}_{segment}_mass_kg"] = float(body.link_mass[0, leg, part + 1])
         table[f"{pair}_leg_reach_m"] = float(leg_reach(body)[0, leg, 1])
-    table["foot_radius_m"] = float(body.foot_radius[0])
+    table["foot_radius_m"] = float(body.foot_radius[0, 0])
     table["hip_spacing_m"] = float(body.joint_origin[0, 0, 0, 0] - body.joint_origin[0, 2, 0, 0])
     table["stance_hip_height_m"] = float(stance.hip_height[0])
     table["total_mass_kg"] = float(body.total_mass[0])
