@@ -83,6 +83,8 @@ class BodyFactory:
         self.name = name
         self.space = DesignSpace.leg_scales() if space is None else space
         self.rule: Rule = rule
+        if rule != "lumped" and "motor_placement" in self.space.names:
+            raise MorphologyError(f"motor_placement moves the motor of rule 'lumped'; rule '{rule}' has none")
         self.gains = GainRule() if gains is None else gains
         self.folder = source.parent if isinstance(source, Path) else None
         self.meshes = MeshFinder(source if isinstance(source, Path) else None, mesh_paths)
@@ -164,15 +166,17 @@ class BodyFactory:
         Raises:
             MorphologyError: hardly any design of the space is feasible.
         """
-        kept = np.zeros((0, self.space.dim))
-        for _ in range(100):
-            drawn = self.space.sample(max(n, 64), rng)
+        kept, tried, size = np.zeros((0, self.space.dim)), 0, 64
+        while len(kept) < n:
+            drawn = self.space.sample(size, rng)
             kept = np.vstack([kept, drawn[self.feasible(drawn)]])
-            if len(kept) >= n:
-                return kept[:n]
-        raise MorphologyError(
-            f"{self.name}: only {len(kept)} of {100 * max(n, 64)} designs of the space have a sound level stance"
-        )
+            tried, size = tried + size, min(2 * size, 4096)
+            if 100 * len(kept) < tried - 200:
+                raise MorphologyError(
+                    f"{self.name}: only {len(kept)} of {tried} designs of the space have a sound level stance; "
+                    "narrow its bounds"
+                )
+        return kept[:n]
 
     def _bodies(self, designs: Array, *, visuals: bool = False) -> Bodies:
         return scale_bodies(self.robot, self.space.morphology(designs), self.rule, visuals=visuals)

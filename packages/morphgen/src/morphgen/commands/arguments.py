@@ -43,6 +43,10 @@ class RobotArguments:
     """Joints that are fixed at zero, such as those of an arm."""
     hips: tuple[str, str, str, str] | None = None
     """Hip joints of the front left, front right, rear left and rear right leg, if they are not found by place."""
+    kp: float | None = None
+    """Stiffness of the servos [N m/rad]; by default 40 for built-in robots, and by weight and height for your own."""
+    kd: float | None = None
+    """Damping of the servos [N m s/rad]."""
     torque_limit: float | None = None
     """Torque limit of joints whose URDF gives none [N m]."""
 
@@ -54,19 +58,20 @@ class RobotArguments:
         """
         gains = GainRule(self.gains)
         if self.urdf is None:
-            return load_robot(self.robot, rule=self.rule or "paper", space=space, gains=gains)
-        factory = from_urdf(
-            self.urdf,
-            rule=self.rule or "stretch",
-            space=space,
-            gains=gains,
-            mesh_paths=self.mesh_path,
-            repair=self.repair,
-            lock=self.lock,
-            hips=None if self.hips is None else dict(zip(QUARTERS, self.hips, strict=True)),
-        )
-        if self.torque_limit is not None:
-            factory.drive = replace(factory.drive, torque_limit=self.torque_limit)
+            factory = load_robot(self.robot, rule=self.rule or "paper", space=space, gains=gains)
+        else:
+            factory = from_urdf(
+                self.urdf,
+                rule=self.rule or "stretch",
+                space=space,
+                gains=gains,
+                mesh_paths=self.mesh_path,
+                repair=self.repair,
+                lock=self.lock,
+                hips=None if self.hips is None else dict(zip(QUARTERS, self.hips, strict=True)),
+            )
+        given = {"kp": self.kp, "kd": self.kd, "torque_limit": self.torque_limit}
+        factory.drive = replace(factory.drive, **{name: value for name, value in given.items() if value is not None})
         return factory
 
 

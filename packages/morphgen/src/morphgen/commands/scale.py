@@ -10,6 +10,7 @@ from typing import Annotated
 import tyro
 
 from morphgen.commands.arguments import BodyArguments
+from morphgen.errors import MorphologyError
 from morphgen.export import export_body, export_mjcf, export_urdf
 from morphgen.factory import BodyFactory
 from morphgen.skeleton import Array
@@ -24,12 +25,15 @@ class Scale(BodyArguments):
     """URDF file to write."""
     mjcf: Path | None = None
     """Also write MJCF with free joint, servos and sensors on a flat floor."""
+    force: bool = False
+    """Write the body even if it cannot stand."""
     copy_meshes: bool = False
     """Copy the meshes beside the URDF, so that the folder can be moved."""
 
     def run(self) -> int:
         """Write the files."""
         factory, design = self.body()
+        _require_stance(factory, design, self.force)
         mjcf = None if self.mjcf is None else factory.spec(design)  # fails before anything is written
         export_urdf(factory, design, self.output, copy_meshes=self.copy_meshes)
         if self.mjcf is not None and mjcf is not None:
@@ -44,14 +48,27 @@ class Export(BodyArguments):
 
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder to write to."""
+    force: bool = False
+    """Write the body even if it cannot stand."""
 
     def run(self) -> int:
         """Write the folder."""
         factory, design = self.body()
+        _require_stance(factory, design, self.force)
         for file in export_body(factory, design, self.output):
             print(file)
         _report(factory, design)
         return 0
+
+
+def _require_stance(factory: BodyFactory, design: Array, force: bool) -> None:
+    problems = factory.problems(design)
+    if not problems:
+        return
+    why = f"{factory.source}: this body has no sound level stance: {'; '.join(problems)}"
+    if not force:
+        raise MorphologyError(f"{why}; choose other scales, or write it all the same (--force)")
+    print(why, file=sys.stderr)
 
 
 def _report(factory: BodyFactory, design: Array) -> None:
@@ -60,5 +77,3 @@ def _report(factory: BodyFactory, design: Array) -> None:
     for name, value in dimensions(factory, design).items():
         quantity, unit = name.rsplit("_", 1)
         print(f"{quantity.replace('_', ' '):<20} {value:8.4f} {unit}")
-    if not factory.feasible(design)[0]:
-        print("this body has no sound level stance", file=sys.stderr)

@@ -106,8 +106,6 @@ def scale_bodies(robot: Robot, morphology: Morphology, rule: Rule, *, visuals: b
     """
     if rule not in RULES:
         raise MorphologyError(f"unknown scaling rule '{rule}'; known: {', '.join(RULES)}")
-    if rule != "lumped" and morphology.motor.any():
-        raise MorphologyError(f"motor_placement moves the motor of rule 'lumped'; rule '{rule}' has none")
     bodies = nominal_bodies(robot.tree, morphology.n)
     _scale(robot.tree, bodies, robot.segments.trunk, morphology.trunk_length, morphology.trunk_mass, visuals)
     for i, (leg, segments) in enumerate(zip(robot.leg_map.legs, robot.segments.legs, strict=True)):

@@ -38,7 +38,7 @@ class BodyBatch:
             that cannot, see `derived`.
         stance_qpos: (n, nq) stance on a floor at z = 0: base at x = y = 0 and level.
         stance_ctrl: (n, 12) servo targets that hold the stance: its angles + static torque / kp [rad].
-        feasible: (n,) whether the stance is sound, see `morphgen.stance.Stance`.
+        feasible: (n,) whether the stance is sound, see `morphgen.Stance`, and does not buckle on the servos' springs.
         kp: (n, 12) servo stiffness [N m/rad].
         kd: (n, 12) servo damping [N m s/rad].
         torque_limit: (n, 12) [N m].

@@ -64,6 +64,19 @@ def model_fields(
     return {k: v for k, v in fields.items() if k in _ALWAYS or (v != getattr(model, k)).any()}
 
 
+def gain_fields(model: mujoco.MjModel, layout: Layout, kp: Array, kd: Array) -> dict[str, Array]:
+    """Gain and bias of position servos, torque = kp ctrl - kp q - kd dq, for gains (n, 12)."""
+    gain, bias = (
+        np.repeat(np.asarray(values)[None], len(kp), axis=0)
+        for values in (model.actuator_gainprm, model.actuator_biasprm)
+    )
+    ids = [model.actuator(name).id for name in layout.actuators]
+    gain[:, ids, 0] = kp
+    bias[:, ids, 1] = -kp
+    bias[:, ids, 2] = -kd
+    return {"actuator_gainprm": gain, "actuator_biasprm": bias}
+
+
 def geom_names(collisions: Collisions, layout: Layout) -> list[str]:
     """Names of the geoms in the order of `Collisions`."""
     count: dict[str, int] = {}

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -15,13 +16,18 @@ from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike
 
 from morphgen.factory import BodyFactory
-from morphgen.skeleton import Array
+from morphgen.skeleton import Array, Skeleton
 from morphgen.stance.kinematics import forward_kinematics
+from morphgen.stance.stance import Stance
+from morphgen.views.scene import body_scene
+from morphgen.views.shading import RIGHT_SIDE, Surface, shade, surface_of
 
 MAX_COLUMNS = 3
 _INK, _DIM, _FLOOR, _WARN = "#1d2430", "#5b6675", "#c9ced6", "#b3261e"
 _MM = 1000.0
 _WIDTH, _TITLE = 5.6, 0.7  # inches a picture, and for its title
+_PIXELS, _PALE = 1400, 0.2  # of a shaded picture: its width, and how much white keeps dimensions legible on it
+_LEG = 0.426  # a Go2's thigh and shank [m]
 
 
 def draw_bodies(
@@ -32,6 +38,9 @@ def draw_bodies(
     max_columns: int = MAX_COLUMNS,
 ) -> Figure:
     """Draw bodies side by side at one scale, each in its stance, seen from the right (forward is right).
+
+    A robot with visual meshes is shown shaded, one of primitives by their outlines. Lengths are those of the right
+    legs, with their scales.
 
     Args:
         factory: makes the bodies.
@@ -48,48 +57,93 @@ def draw_bodies(
         raise ValueError(f"{len(checked)} designs need as many labels, got {len(titles)}")
     columns = min(len(checked), max_columns)
     rows = math.ceil(len(checked) / columns)
-    x_limits, y_limits = _view(factory, checked)
+    bodies = [_Body.of(factory, design) for design in checked]
+    x_limits, y_limits = _view(bodies)
     height = _WIDTH * (y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0]) + _TITLE
     figure = Figure((_WIDTH * columns, height * rows), dpi=150, facecolor="white", layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax in axes:
         ax.set_axis_off()
         ax.set(aspect="equal", xlim=x_limits, ylim=y_limits)
-    for ax, design, title in zip(axes, checked, titles, strict=False):
-        _draw_body(ax, factory, design, title)
+    for ax, body, title in zip(axes, bodies, titles, strict=False):
+        _draw_body(ax, factory, body, title)
     return figure
 
 
-def _draw_body(ax: Axes, factory: BodyFactory, design: Array, title: str) -> None:
-    body, stance = factory.skeleton(design[None]), factory.stance(design[None])
-    z = float(stance.base_height[0])
-    ax.axhspan(-0.012, 0, color=_FLOOR, lw=0, zorder=0)
-    _draw_links(ax, factory, design)
-    joint = forward_kinematics(body, stance.joints).joint[0][:, :, [0, 2]] + (0, z)
-    length = body.segment_length[0]
-    for leg, pair in ((1, "front"), (3, "hind")):
-        _, thigh, knee, foot = joint[leg]
+@dataclass(frozen=True)
+class _Body:
+    """One body to draw.
+
+    Attributes:
+        design: (d,).
+        skeleton: of the body (n = 1).
+        stance: of the body (n = 1).
+        joints: (4, 4, 2) hip, thigh, knee and foot centre in the picture [m].
+        surface: None for a robot without visual meshes.
+        unit: size of the robot's details, 1 for a Go2.
+    """
+
+    design: Array
+    skeleton: Skeleton
+    stance: Stance
+    joints: Array
+    surface: Surface | None
+    unit: float
+
+    @classmethod
+    def of(cls, factory: BodyFactory, design: Array) -> _Body:
+        skeleton, stance = factory.skeleton(design[None]), factory.stance(design[None])
+        joints = forward_kinematics(skeleton, stance.joints).joint[0][:, :, [0, 2]] + (0, stance.base_height[0])
+        meshes = any(shape.mesh is not None for shape in factory.robot.tree.shapes if not shape.collision)
+        surface = surface_of(body_scene(factory, design)) if meshes else None
+        nominal = factory.skeleton(factory.space.nominal[None])
+        unit = float(nominal.segment_length[0].sum(axis=-1).mean()) / _LEG
+        return cls(design, skeleton, stance, joints, surface, unit)
+
+
+def _draw_body(ax: Axes, factory: BodyFactory, body: _Body, title: str) -> None:
+    stance, unit = body.stance, body.unit
+    ax.axhspan(-0.012 * unit, 0, color=_FLOOR, lw=0, zorder=0)
+    if body.surface is None:
+        _draw_links(ax, factory, body.design)
+    else:
+        _draw_surface(ax, body.surface)
+    length = body.skeleton.segment_length[0]
+    scales = factory.space.morphology(body.design[None]).length[0]
+    aside = (0.055, -0.045) if body.surface is None else (0.065, -0.06)
+    for leg in (1, 3):
+        _, thigh, knee, foot = body.joints[leg]
+        (down_x, down_z), (knee_x, knee_z) = foot - thigh, knee - thigh
+        bend = 1 if down_x * knee_z <= down_z * knee_x else -1
         for pivot in (thigh, knee):
-            ax.add_patch(Circle(tuple(pivot), 0.009, fc="white", ec=_INK, lw=1.0, zorder=6))
+            ax.add_patch(Circle(tuple(pivot), 0.009 * unit, fc="white", ec=_INK, lw=1.0, zorder=6))
         for part, (start, end) in enumerate(((thigh, knee), (knee, foot))):
-            name = f"{pair}_{('thigh', 'shank')[part]}"
-            scale = design[factory.space.names.index(name)]
-            text = f"{length[leg, part] * _MM:.0f} mm\n×{scale:.2f}"
-            # the shank's dimension goes to the inside of the knee, where it stays above the floor
-            _dimension(ax, start, end, (0.055, -0.045)[part], text)
-    hip, hind = joint[1, 1], joint[3, 1]
-    top = z + 0.13
-    _dimension(ax, np.array([hind[0], top]), np.array([hip[0], top]), 0.0, f"{(hip[0] - hind[0]) * _MM:.0f} mm")
-    side = max(hip[0], joint[1, 3, 0]) + 0.12
+            text = f"{length[leg, part] * _MM:.0f} mm\n×{scales[leg, part + 1]:.2f}"
+            # the thigh's goes to the outside of the knee, the shank's to the inside, where it stays above the floor
+            # the labels of thighs whose knees meet below the trunk go to different heights
+            along = 0.8 if bend < 0 and part == 0 else 0.5
+            _dimension(ax, start, end, bend * aside[part] * unit, text, unit, along=along)
+    hip, hind = body.joints[1, 1], body.joints[3, 1]
+    top = _top(body) + 0.02 * unit
+    _dimension(ax, np.array([hind[0], top]), np.array([hip[0], top]), 0.0, f"{(hip[0] - hind[0]) * _MM:.0f} mm", unit)
+    side = _side(body) + 0.04 * unit
     height = f"{stance.hip_height[0] * _MM:.0f} mm"
-    _dimension(ax, np.array([side, hip[1]]), np.array([side, 0.0]), 0.0, height, label_right=True)
-    ax.plot([hip[0] + 0.05, side + 0.01], [hip[1], hip[1]], color=_DIM, lw=0.6, ls=(0, (4, 3)), zorder=1)
+    _dimension(ax, np.array([side, hip[1]]), np.array([side, 0.0]), 0.0, height, unit, label_right=True)
+    line = {"color": _DIM, "lw": 0.6, "ls": (0, (4, 3)), "zorder": 1}
+    ax.plot([hip[0] + 0.05 * unit, side + 0.01 * unit], [hip[1], hip[1]], **line)
     ax.set_title(title, color=_INK, fontsize=14, fontweight="bold", pad=10)
-    note = f"{body.total_mass[0]:.2f} kg"
+    note = f"{body.skeleton.total_mass[0]:.2f} kg"
     feasible = bool(stance.feasible[0])
     if not feasible:
         note += ", no sound level stance"
-    ax.text(0, -0.05, note, ha="center", va="top", fontsize=10.5, color=_INK if feasible else _WARN)
+    ax.text(0, -0.05 * unit, note, ha="center", va="top", fontsize=10.5, color=_INK if feasible else _WARN)
+
+
+def _draw_surface(ax: Axes, surface: Surface) -> None:
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    image = shade(surface, RIGHT_SIDE, np.array([left, bottom]), np.array([right, top]), _PIXELS)
+    image[..., :3] = _PALE + (1 - _PALE) * image[..., :3]
+    ax.imshow(image, extent=(left, right, bottom, top), zorder=3, interpolation="antialiased")
 
 
 def _draw_links(ax: Axes, factory: BodyFactory, design: Array) -> None:
@@ -148,33 +202,56 @@ def _convex_hull(points: Array) -> Array:
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
-def _dimension(ax: Axes, start: Array, end: Array, offset: float, text: str, *, label_right: bool = False) -> None:
-    """An arrow between two points, moved aside by an offset (to the right of start -> end), with its text."""
-    along = (end - start) / np.linalg.norm(end - start)
-    aside = np.array([along[1], -along[0]])
+def _dimension(
+    ax: Axes,
+    start: Array,
+    end: Array,
+    offset: float,
+    text: str,
+    unit: float,
+    *,
+    along: float = 0.5,
+    label_right: bool = False,
+) -> None:
+    """An arrow between two points, moved aside by an offset (to the right of start -> end), its text a share `along`."""
+    direction = (end - start) / np.linalg.norm(end - start)
+    aside = np.array([direction[1], -direction[0]])
     a, b = start + offset * aside, end + offset * aside
     if offset:
         for point, moved in ((start, a), (end, b)):
             ax.plot(*zip(point, moved + 0.15 * (moved - point), strict=True), color=_DIM, lw=0.5, zorder=1)
     arrow = {"arrowstyle": "<|-|>", "color": _DIM, "lw": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
     ax.annotate("", xy=tuple(b), xytext=tuple(a), arrowprops=arrow, zorder=7)
-    middle = (a + b) / 2
+    middle = a + along * (b - a)
     if label_right:
-        (x, y), anchor = middle + np.array([0.012, 0]), ("left", "center")
+        (x, y), anchor = middle + np.array([0.012 * unit, 0]), ("left", "center")
     elif offset:
         away = np.sign(offset) * aside
-        (x, y) = middle + 0.012 * away
+        (x, y) = middle + 0.012 * unit * away
         anchor = ("right" if away[0] < 0 else "left", "bottom" if away[1] > 0 else "top")
     else:
-        (x, y), anchor = middle + np.array([0, 0.01]), ("center", "bottom")
+        (x, y), anchor = middle + np.array([0, 0.01 * unit]), ("center", "bottom")
     paper = {"boxstyle": "square,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75}
     text_at = ax.text(x, y, text, ha=anchor[0], va=anchor[1], fontsize=9, color=_INK, linespacing=1.25)
     text_at.set(bbox=paper, zorder=8)
 
 
-def _view(factory: BodyFactory, designs: Array) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Limits of x and z that show every one of the designs with its dimensions [m]."""
-    bodies, stance = factory.skeleton(designs), factory.stance(designs)
-    joints = forward_kinematics(bodies, stance.joints).joint
-    half = max(-joints[..., 0].min() + 0.2, joints[..., 0].max() + 0.22)
-    return (-half, half), (-0.1, float(stance.base_height.max()) + 0.17)
+def _top(body: _Body) -> float:
+    """Height above everything that is drawn in the middle [m]."""
+    top = float(body.stance.base_height[0]) + 0.11 * body.unit
+    return top if body.surface is None else max(top, float(body.surface.triangles[..., 2].max()))
+
+
+def _side(body: _Body) -> float:
+    """How far forward the drawing reaches [m]."""
+    side = float(body.joints[..., 0].max()) + 0.08 * body.unit
+    return side if body.surface is None else max(side, float(body.surface.triangles[..., 0].max()))
+
+
+def _view(bodies: Sequence[_Body]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Limits of x and z that show every one of the bodies with its dimensions [m]."""
+    unit = bodies[0].unit
+    back = [float(body.joints[..., 0].min()) - 0.12 * unit for body in bodies]
+    back += [float(body.surface.triangles[..., 0].min()) for body in bodies if body.surface is not None]
+    half = max(-min(back) + 0.08 * unit, max(map(_side, bodies)) + 0.14 * unit)
+    return (-half, half), (-0.1 * unit, max(map(_top, bodies)) + 0.06 * unit)

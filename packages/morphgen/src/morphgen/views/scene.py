@@ -26,7 +26,7 @@ PALETTE = {
     "foot": (38, 40, 44, 255),
 }
 """Colours of the parts of a robot whose file gives none."""
-_SECTIONS = 64
+_SECTIONS = 48
 
 Color = tuple[int, int, int, int]
 

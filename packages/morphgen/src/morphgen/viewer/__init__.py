@@ -1,0 +1,1 @@
+"""The robot in the browser with a slider for each design parameter."""
