@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -18,17 +19,31 @@ from morphgen.scaling.bodies import Bodies, Rule, nominal_bodies, scale_bodies
 from morphgen.scaling.design import DesignSpace
 from morphgen.simulation.batch import BodyBatch
 from morphgen.simulation.drive import Drive
-from morphgen.simulation.fields import model_fields
+from morphgen.simulation.fields import gain_fields, model_fields
 from morphgen.simulation.layout import make_layout
 from morphgen.simulation.model import build_spec
 from morphgen.skeleton import Array, Skeleton
 from morphgen.stance.gains import GainRule, gain_factors
+from morphgen.stance.kinematics import forward_kinematics
+from morphgen.stance.problems import stance_problems
+from morphgen.stance.stability import LEAST_BUCKLING_FACTOR, buckling_factor
 from morphgen.stance.stance import Stance, solve_stance
 from morphgen.urdf.meshes import MeshFinder, baked
 from morphgen.urdf.tree import Shape
 from morphgen.urdf.writer import ScaledUrdf, write_urdf
 
 _TURN = 2 * np.pi
+
+
+@dataclass(frozen=True)
+class _Made:
+    """N bodies with their stances and gains, kp and kd (n, 12)."""
+
+    skeleton: Skeleton
+    collisions: Collisions
+    stance: Stance
+    kp: Array
+    kd: Array
 
 
 class BodyFactory:
@@ -42,6 +57,7 @@ class BodyFactory:
         layout: names and order of joints, feet, links and sensors.
         drive: servo at every joint.
         robot: the nominal robot as read, with its collisions as primitives.
+        source: file or name of the URDF, for messages.
         notes: what had to be repaired or replaced in the file.
         meshes: finds the mesh files of the robot.
         folder: of the URDF; None for a robot that came as text.
@@ -88,19 +104,20 @@ class BodyFactory:
         self.gains = GainRule() if gains is None else gains
         self.folder = source.parent if isinstance(source, Path) else None
         self.meshes = MeshFinder(source if isinstance(source, Path) else None, mesh_paths)
-        self._source = str(source or name)
-        with naming(self._source):
+        self.source = str(source or name)
+        with naming(self.source):
             self._read(urdf, repair, lock, hips)
         if drive is None:
             drive = Drive.sized(float(self._nominal.total_mass[0]), float(self._nominal_stance.hip_height[0]))
         self.drive = drive
+        self.layout = make_layout(name, self.robot.tree, self.robot.leg_map, self._nominal)
 
     def _read(self, urdf: str, repair: bool, lock: Collection[str], hips: Mapping[str, str] | None) -> None:
-        self.robot, self.notes = prepare(urdf, self._source, self.meshes, repair=repair, lock=lock, hips=hips)
+        self.robot, self.notes = prepare(urdf, self.source, self.meshes, repair=repair, lock=lock, hips=hips)
         self._links = nominal_bodies(self.robot.tree)
         # all rules meet their demands on the robot here, not when the first body is made
-        self._nominal, self._collisions, self._nominal_stance = self._make(self.space.nominal[None])
-        self.layout = make_layout(self.name, self.robot.tree, self.robot.leg_map, self._nominal)
+        self._nominal, self._collisions = articulate(self.robot, self._bodies(self.space.nominal[None]))
+        self._nominal_stance = solve_stance(self._nominal, collisions=self._collisions)
 
     def urdf(self, design: ArrayLike) -> str:
         """The scaled URDF of one design (d,); relative mesh paths are as in the source, see `scaled_urdf`."""
@@ -116,12 +133,8 @@ class BodyFactory:
 
     def spec(self, design: ArrayLike, scene: mujoco.MjSpec | None = None) -> mujoco.MjSpec:
         """A fresh MuJoCo spec of one design (d,)."""
-        designs = self._one(design)
-        body, collisions, stance = self._make(designs)
-        gains = self._eta(designs, body, stance).reshape(12)
-        return build_spec(
-            body, collisions, self.layout, self.drive, self.drive.kp * gains, self.drive.kd * gains, scene
-        )
+        made = self._make(self._one(design))
+        return build_spec(made.skeleton, made.collisions, self.layout, self.drive, made.kp[0], made.kd[0], scene)
 
     def batch(self, designs: ArrayLike, scene: mujoco.MjSpec | None = None) -> BodyBatch:
         """Bodies for designs (n, d) as fields of one model, without a file or a compilation per body.
@@ -134,15 +147,13 @@ class BodyFactory:
             MorphologyError: a design out of bounds; names row and parameter.
         """
         checked = self.space.validated(designs)
-        bodies, collisions, stance = self._make(checked)
+        made = self._make(checked)
         model = self.spec(self.space.nominal, scene).compile()
         nominal = (self._nominal, self._collisions)
-        fields = model_fields(model, nominal, bodies, collisions, self.layout)
-        eta = self._eta(checked, bodies, stance).reshape(-1, 12)
-        kp, kd = self.drive.kp * eta, self.drive.kd * eta
+        fields = model_fields(model, nominal, made.skeleton, made.collisions, self.layout)
         if self.gains.kind != "none":
-            fields |= _gain_fields(model, self.layout.actuators, kp, kd)
-        return self._assemble(checked, model, fields, bodies, stance, kp, kd)
+            fields |= gain_fields(model, self.layout, made.kp, made.kd)
+        return self._assemble(checked, model, fields, made)
 
     def skeleton(self, designs: ArrayLike) -> Skeleton:
         """Geometry, mass and limits of the designs (n, d) as arrays."""
@@ -154,11 +165,16 @@ class BodyFactory:
 
     def stance(self, designs: ArrayLike) -> Stance:
         """Stances of the designs (n, d)."""
-        return self._make(self.space.validated(designs))[2]
+        return self._make(self.space.validated(designs)).stance
 
     def feasible(self, designs: ArrayLike) -> NDArray[np.bool_]:
         """Whether each design (n, d) has a sound level stance, (n,)."""
         return self.stance(designs).feasible
+
+    def problems(self, design: ArrayLike) -> tuple[str, ...]:
+        """Why one design (d,) is not feasible, a phrase each; () if it is."""
+        made = self._make(self._one(design))
+        return stance_problems(made.skeleton, made.collisions, made.stance, made.kp, self.layout)
 
     def sample(self, n: int, rng: np.random.Generator) -> Array:
         """N feasible designs, uniform in the space, (n, d).
@@ -181,15 +197,23 @@ class BodyFactory:
     def _bodies(self, designs: Array, *, visuals: bool = False) -> Bodies:
         return scale_bodies(self.robot, self.space.morphology(designs), self.rule, visuals=visuals)
 
-    def _make(self, designs: Array) -> tuple[Skeleton, Collisions, Stance]:
+    def _make(self, designs: Array) -> _Made:
         skeleton, collisions = articulate(self.robot, self._bodies(designs))
-        return skeleton, collisions, solve_stance(skeleton, collisions=collisions)
+        stance = solve_stance(skeleton, collisions=collisions)
+        nominal = (self._nominal, self._nominal_stance, designs, self.space.nominal)
+        eta = gain_factors(self.gains, skeleton, stance, *nominal)
+        stiffness = self.drive.kp * eta
+        poses = forward_kinematics(skeleton, stance.joints)
+        stable = buckling_factor(skeleton, poses, stiffness) >= LEAST_BUCKLING_FACTOR
+        stance = replace(stance, feasible=stance.feasible & stable)
+        damping = self.drive.kd * eta
+        return _Made(skeleton, collisions, stance, stiffness.reshape(-1, 12), damping.reshape(-1, 12))
 
     def _scaled(self, design: ArrayLike, *, bake: bool) -> ScaledUrdf:
         designs = self._one(design)
         body = self._bodies(designs, visuals=True)
         morphology = self.space.morphology(designs)
-        with naming(self._source):
+        with naming(self.source):
             return write_urdf(self.robot, morphology, self._links, body, self._bake if bake else None)
 
     def _bake(self, shape: Shape, linear: Array) -> bytes:
@@ -197,22 +221,14 @@ class BodyFactory:
         where = f"link '{self.robot.tree.links[shape.link].name}' visual"
         return baked(self.meshes.load(shape.mesh, where), linear)
 
-    def _eta(self, designs: Array, bodies: Skeleton, stance: Stance) -> Array:
-        return gain_factors(
-            self.gains, bodies, stance, self._nominal, self._nominal_stance, designs, self.space.nominal
-        )
-
     def _assemble(
         self,
         designs: Array,
         model: mujoco.MjModel,
         fields: dict[str, Array],
-        bodies: Skeleton,
-        stance: Stance,
-        kp: Array,
-        kd: Array,
+        made: _Made,
     ) -> BodyBatch:
-        n = len(designs)
+        n, bodies, stance = len(designs), made.skeleton, made.stance
         joints = stance.joints.reshape(n, 12)
         qpos = np.repeat(model.qpos0[None], n, axis=0)
         free = model.joint(f"{self.layout.base}_free").qposadr[0]
@@ -228,10 +244,10 @@ class BodyFactory:
             model=model,
             fields=fields,
             stance_qpos=qpos,
-            stance_ctrl=joints + stance.torque.reshape(n, 12) / kp,
+            stance_ctrl=joints + stance.torque.reshape(n, 12) / made.kp,
             feasible=stance.feasible,
-            kp=kp,
-            kd=kd,
+            kp=made.kp,
+            kd=made.kd,
             torque_limit=shared(self.drive.torque_limits(bodies, self.layout)),
             velocity_limit=shared(self.drive.velocity_limits(bodies)),
             joint_lower=shared(np.maximum(bodies.lower, -_TURN)),
@@ -275,16 +291,3 @@ def scale_urdf(
         raise MorphologyError(f"leg scales must be 4 positive numbers, got {scales!r}")
     space = DesignSpace.leg_scales(min(1.0, float(values.min())), max(1.0, float(values.max())))
     return BodyFactory(source, text, space=space, rule=rule, source=source, mesh_paths=mesh_paths).urdf(values)
-
-
-def _gain_fields(model: mujoco.MjModel, actuators: tuple[str, ...], kp: Array, kd: Array) -> dict[str, Array]:
-    """Gain and bias of position servos: torque = kp ctrl - kp q - kd dq."""
-    gain, bias = (
-        np.repeat(np.asarray(values)[None], len(kp), axis=0)
-        for values in (model.actuator_gainprm, model.actuator_biasprm)
-    )
-    ids = [model.actuator(name).id for name in actuators]
-    gain[:, ids, 0] = kp
-    bias[:, ids, 1] = -kp
-    bias[:, ids, 2] = -kd
-    return {"actuator_gainprm": gain, "actuator_biasprm": bias}
