@@ -1,13 +1,16 @@
 """The command line, the export formats and the pictures."""
 
+import csv
+import json
 import re
 from importlib.metadata import entry_points
 
 import mujoco
 import numpy as np
 import pytest
+import yourdfpy
 from lxml import etree
-from morphgen import MorphologyError, dimensions, draw_bodies, go2, load_robot, to_mjcf
+from morphgen import DesignSpace, MorphologyError, dimensions, draw_bodies, go2, load_robot, to_mjcf
 from morphgen.cli import main
 from numpy.testing import assert_allclose
 
@@ -82,7 +85,8 @@ def test_picture_shows_links_to_scale_with_their_dimensions(factory):
 
 
 def test_many_bodies_wrap_into_rows_and_infeasible_ones_say_so(factory):
-    figure = draw_bodies(factory, [(1, 1, 1, 1)] * 3 + [(1.4, 0.6, 0.6, 0.6)])
+    far = load_robot("go2", space=DesignSpace.leg_scales(0.2, 4.0))
+    figure = draw_bodies(far, [(1, 1, 1, 1)] * 3 + [(4, 0.2, 0.2, 0.2)])
     drawn = [ax for ax in figure.axes if ax.patches]
     assert len(drawn) == 4
     assert any("no sound level stance" in text.get_text() for text in drawn[3].texts)
@@ -103,10 +107,17 @@ def test_dimension_table_matches_hand_values(factory):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["scale", "--scales", "1", "1", "1", "1.5"], r"hind_shank = 1.5 is outside"),
-        (["scale", "--scales", "1", "1", "1", "nan"], "hind_shank = nan"),
+        (["scale", "--scales", "1", "1", "1", "nan"], "must be finite.*nan"),
+        (["scale", "--scales", "1", "1", "1", "0"], "'hind_shank' must be positive"),
+        (["scale", "--scales", "1", "-1", "1", "1"], "'front_shank' must be positive"),
+        (["scale", "--scales", "4", ".2", ".2", ".2"], "go2: .*foot 'RL_foot' hangs .* above the floor.*--force"),
+        (["scale", "--set", "tail=2"], "unknown design parameter 'tail'; known: front_thigh"),
+        (["scale", "--set", "hip_offset=wide"], "expected hip_offset=number"),
+        (["scale", "--set", "motor_placement=0.5"], "rule 'lumped'; rule 'paper' has none"),
         (["scale", "--robot", "go3", "--scales", *SCALES], "unknown robot 'go3'; known: go2"),
         (["scale", "--urdf", "missing.urdf", "--scales", *SCALES], "missing.urdf"),
+        (["sample", "--count", "0"], "--count must be at least 1"),
+        (["export", "--scales", "4", ".2", ".2", ".2"], "no sound level stance"),
         (["render", "--scales", *SCALES, "--labels", "a", "b"], "as many labels"),
     ],
 )
@@ -117,12 +128,58 @@ def test_bad_input_ends_with_a_message_and_no_file(tmp_path, monkeypatch, capsys
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_failed_write_keeps_the_old_file(tmp_path):
+def test_a_failed_write_keeps_the_old_file(tmp_path, capsys):
     output = tmp_path / "out.urdf"
     output.write_text("old")
-    assert main(["scale", "--scales", "1", "1", "1", "9", "-o", str(output)]) == 2
+    assert main(["scale", "--scales", "1", "1", "1", "99", "-o", str(output)]) == 2
     assert output.read_text() == "old"
-    assert main(["scale", "--scales", *SCALES, "-o", str(tmp_path / "no folder" / "out.urdf")]) == 2
+    assert main(["scale", "--scales", *SCALES, "-o", str(tmp_path / "none" / "out.urdf")]) == 2
+    assert "none does not exist; create it" in capsys.readouterr().err
+
+
+def test_a_body_that_cannot_stand_is_written_by_force(tmp_path, capsys):
+    output = tmp_path / "out.urdf"
+    assert main(["scale", "--scales", "4", ".2", ".2", ".2", "--force", "-o", str(output)]) == 0
+    assert "no sound level stance" in capsys.readouterr().err
+    knee = etree.parse(output).find("joint[@name='FL_calf_joint']/origin").get("xyz")
+    assert float(knee.split()[2]) == pytest.approx(-0.213 * 4)
+
+
+def test_further_parameters_are_set_by_name(tmp_path):
+    output = tmp_path / "out.urdf"
+    arguments = ["--robot", "lite3", "--rule", "lumped", "--set", "hip_offset=1.2", "fl_thigh=0.9"]
+    assert main(["scale", *arguments, "-o", str(output)]) == 0
+    root = etree.parse(output)
+    hips = [float(root.find(f"joint[@name='{leg}_HipY']/origin").get("xyz").split()[1]) for leg in ("FL", "HR")]
+    knees = [float(root.find(f"joint[@name='{leg}_Knee']/origin").get("xyz").split()[2]) for leg in ("FL", "HR")]
+    assert hips == pytest.approx([0.09735 * 1.2, -0.09735 * 1.2])
+    assert knees == pytest.approx([-0.2 * 0.9, -0.2])
+
+
+def test_sample_writes_bodies_that_can_stand(tmp_path, capsys):
+    folder = tmp_path / "bodies"
+    arguments = ["--space", "wide", "--count", "3", "--seed", "5", "--urdfs", "-o", str(folder)]
+    assert main(["sample", *arguments]) == 0
+    names = ["body_0.urdf", "body_1.urdf", "body_2.urdf", "designs.csv", "sheet.png"]
+    assert sorted(path.name for path in folder.iterdir()) == names
+    rows = list(csv.DictReader((folder / "designs.csv").read_text().splitlines()))
+    assert len(rows) == 3
+    wide = DesignSpace.wide()
+    designs = np.array([[float(row[name]) for name in wide.names] for row in rows])
+    assert wide.contains(designs).all()
+    for i, row in enumerate(rows):
+        urdf = yourdfpy.URDF.load(str(folder / f"body_{i}.urdf"), load_meshes=False)
+        mass = sum(link.inertial.mass for link in urdf.link_map.values())
+        assert mass == pytest.approx(float(row["total_mass_kg"]))
+        front = float(row["front_thigh"]) * 0.213
+        assert urdf.get_transform("FL_calf", "FL_thigh")[2, 3] == pytest.approx(-front)
+
+
+def test_stdout_of_inspect_is_json(tmp_path, capsys, factory):
+    path = tmp_path / "go2.urdf"
+    path.write_text(factory.urdf(np.ones(4)))
+    assert main(["inspect", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["total_mass"] == pytest.approx(15.019)
 
 
 def test_robots_are_found_by_entry_point():
