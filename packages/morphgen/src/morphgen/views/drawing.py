@@ -26,8 +26,8 @@ MAX_COLUMNS = 3
 _INK, _DIM, _FLOOR, _WARN = "#1d2430", "#5b6675", "#c9ced6", "#b3261e"
 _MM = 1000.0
 _WIDTH, _TITLE = 5.6, 0.7  # inches a picture, and for its title
-_PIXELS, _PALE = 1400, 0.2  # of a shaded picture: its width, and how much white keeps dimensions legible on it
-_LEG = 0.426  # a Go2's thigh and shank [m]
+_PIXELS, _PALE = 1120, 0.2  # of a shaded picture: its width, and how much white keeps dimensions legible on it
+_REACH = 0.33  # how far a Go2 reaches from its centre, to which the distances of dimensions are tuned [m]
 
 
 def draw_bodies(
@@ -58,7 +58,8 @@ def draw_bodies(
     columns = min(len(checked), max_columns)
     rows = math.ceil(len(checked) / columns)
     bodies = [_Body.of(factory, design) for design in checked]
-    x_limits, y_limits = _view(bodies)
+    unit = max(float(np.abs(body.joints[..., 0]).max()) for body in bodies) / _REACH
+    x_limits, y_limits = _view(bodies, unit)
     height = _WIDTH * (y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0]) + _TITLE
     figure = Figure((_WIDTH * columns, height * rows), dpi=150, facecolor="white", layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -66,7 +67,7 @@ def draw_bodies(
         ax.set_axis_off()
         ax.set(aspect="equal", xlim=x_limits, ylim=y_limits)
     for ax, body, title in zip(axes, bodies, titles, strict=False):
-        _draw_body(ax, factory, body, title)
+        _draw_body(ax, factory, body, title, unit)
     return figure
 
 
@@ -80,7 +81,6 @@ class _Body:
         stance: of the body (n = 1).
         joints: (4, 4, 2) hip, thigh, knee and foot centre in the picture [m].
         surface: None for a robot without visual meshes.
-        unit: size of the robot's details, 1 for a Go2.
     """
 
     design: Array
@@ -88,7 +88,6 @@ class _Body:
     stance: Stance
     joints: Array
     surface: Surface | None
-    unit: float
 
     @classmethod
     def of(cls, factory: BodyFactory, design: Array) -> _Body:
@@ -96,13 +95,11 @@ class _Body:
         joints = forward_kinematics(skeleton, stance.joints).joint[0][:, :, [0, 2]] + (0, stance.base_height[0])
         meshes = any(shape.mesh is not None for shape in factory.robot.tree.shapes if not shape.collision)
         surface = surface_of(body_scene(factory, design)) if meshes else None
-        nominal = factory.skeleton(factory.space.nominal[None])
-        unit = float(nominal.segment_length[0].sum(axis=-1).mean()) / _LEG
-        return cls(design, skeleton, stance, joints, surface, unit)
+        return cls(design, skeleton, stance, joints, surface)
 
 
-def _draw_body(ax: Axes, factory: BodyFactory, body: _Body, title: str) -> None:
-    stance, unit = body.stance, body.unit
+def _draw_body(ax: Axes, factory: BodyFactory, body: _Body, title: str, unit: float) -> None:
+    stance = body.stance
     ax.axhspan(-0.012 * unit, 0, color=_FLOOR, lw=0, zorder=0)
     if body.surface is None:
         _draw_links(ax, factory, body.design)
@@ -113,20 +110,16 @@ def _draw_body(ax: Axes, factory: BodyFactory, body: _Body, title: str) -> None:
     aside = (0.055, -0.045) if body.surface is None else (0.065, -0.06)
     for leg in (1, 3):
         _, thigh, knee, foot = body.joints[leg]
-        (down_x, down_z), (knee_x, knee_z) = foot - thigh, knee - thigh
-        bend = 1 if down_x * knee_z <= down_z * knee_x else -1
         for pivot in (thigh, knee):
             ax.add_patch(Circle(tuple(pivot), 0.009 * unit, fc="white", ec=_INK, lw=1.0, zorder=6))
         for part, (start, end) in enumerate(((thigh, knee), (knee, foot))):
             text = f"{length[leg, part] * _MM:.0f} mm\n×{scales[leg, part + 1]:.2f}"
-            # the thigh's goes to the outside of the knee, the shank's to the inside, where it stays above the floor
-            # the labels of thighs whose knees meet below the trunk go to different heights
-            along = 0.8 if bend < 0 and part == 0 else 0.5
-            _dimension(ax, start, end, bend * aside[part] * unit, text, unit, along=along)
+            # the shank's dimension goes to the front of the leg, out of the thigh's way
+            _dimension(ax, start, end, aside[part] * unit, text, unit, along=(0.5, 0.4)[part])
     hip, hind = body.joints[1, 1], body.joints[3, 1]
-    top = _top(body) + 0.02 * unit
+    top = _top(body, unit) + 0.02 * unit
     _dimension(ax, np.array([hind[0], top]), np.array([hip[0], top]), 0.0, f"{(hip[0] - hind[0]) * _MM:.0f} mm", unit)
-    side = _side(body) + 0.04 * unit
+    side = _side(body, unit) + 0.04 * unit
     height = f"{stance.hip_height[0] * _MM:.0f} mm"
     _dimension(ax, np.array([side, hip[1]]), np.array([side, 0.0]), 0.0, height, unit, label_right=True)
     line = {"color": _DIM, "lw": 0.6, "ls": (0, (4, 3)), "zorder": 1}
@@ -213,7 +206,7 @@ def _dimension(
     along: float = 0.5,
     label_right: bool = False,
 ) -> None:
-    """An arrow between two points, moved aside by an offset (to the right of start -> end), its text a share `along`."""
+    """An arrow between two points, moved to the right of start -> end by an offset, its text a share `along` it."""
     direction = (end - start) / np.linalg.norm(end - start)
     aside = np.array([direction[1], -direction[0]])
     a, b = start + offset * aside, end + offset * aside
@@ -236,22 +229,21 @@ def _dimension(
     text_at.set(bbox=paper, zorder=8)
 
 
-def _top(body: _Body) -> float:
+def _top(body: _Body, unit: float) -> float:
     """Height above everything that is drawn in the middle [m]."""
-    top = float(body.stance.base_height[0]) + 0.11 * body.unit
+    top = float(body.stance.base_height[0]) + 0.11 * unit
     return top if body.surface is None else max(top, float(body.surface.triangles[..., 2].max()))
 
 
-def _side(body: _Body) -> float:
+def _side(body: _Body, unit: float) -> float:
     """How far forward the drawing reaches [m]."""
-    side = float(body.joints[..., 0].max()) + 0.08 * body.unit
+    side = float(body.joints[..., 0].max()) + 0.08 * unit
     return side if body.surface is None else max(side, float(body.surface.triangles[..., 0].max()))
 
 
-def _view(bodies: Sequence[_Body]) -> tuple[tuple[float, float], tuple[float, float]]:
+def _view(bodies: Sequence[_Body], unit: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Limits of x and z that show every one of the bodies with its dimensions [m]."""
-    unit = bodies[0].unit
     back = [float(body.joints[..., 0].min()) - 0.12 * unit for body in bodies]
     back += [float(body.surface.triangles[..., 0].min()) for body in bodies if body.surface is not None]
-    half = max(-min(back) + 0.08 * unit, max(map(_side, bodies)) + 0.14 * unit)
-    return (-half, half), (-0.1 * unit, max(map(_top, bodies)) + 0.06 * unit)
+    half = max(-min(back) + 0.08 * unit, max(_side(body, unit) for body in bodies) + 0.14 * unit)
+    return (-half, half), (-0.1 * unit, max(_top(body, unit) for body in bodies) + 0.06 * unit)
