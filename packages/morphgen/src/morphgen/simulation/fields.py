@@ -52,14 +52,16 @@ def model_fields(
             fields["body_pos"][:, body] = bodies.joint_origin[:, leg, part]
         fields["body_mass"][:, body] = mass
         fields["body_ipos"][:, body] = com
-        if (inertia != unchanged).any():
-            _write_inertia(fields, body, inertia)
+        changed = (inertia != unchanged).any(axis=(1, 2))
+        if changed.any():
+            fields["body_inertia"][changed, body], fields["body_iquat"][changed, body] = _principal(inertia[changed])
     for g, name in enumerate(geom_names(collisions, layout)):
         geom = model.geom(name).id
         fields["geom_size"][:, geom] = geom_size(collisions.kind[g], collisions.size[:, g])
         fields["geom_pos"][:, geom] = collisions.position[:, g]
-        if (collisions.rotation[:, g] != nominal[1].rotation[:, g]).any():
-            fields["geom_quat"][:, geom] = rotation_to_quat(collisions.rotation[:, g])
+        turned = (collisions.rotation[:, g] != nominal[1].rotation[:, g]).any(axis=(1, 2))
+        if turned.any():
+            fields["geom_quat"][turned, geom] = rotation_to_quat(collisions.rotation[turned, g])
     _drop_shortcuts(model, fields)
     return {k: v for k, v in fields.items() if k in _ALWAYS or (v != getattr(model, k)).any()}
 
@@ -88,15 +90,13 @@ def geom_names(collisions: Collisions, layout: Layout) -> list[str]:
     return names
 
 
-def _write_inertia(fields: dict[str, Array], body: int, inertia: Array) -> None:
+def _principal(inertia: Array) -> tuple[Array, Array]:
+    """Principal moments (n, 3) and the quaternions (n, 4) of their axes, for inertias (n, 3, 3)."""
     if not inertia[:, [0, 0, 1], [1, 2, 2]].any():
-        fields["body_inertia"][:, body] = inertia[:, range(3), range(3)]
-        fields["body_iquat"][:, body] = (1, 0, 0, 0)
-        return
+        return inertia[:, range(3), range(3)], np.tile([1.0, 0.0, 0.0, 0.0], (len(inertia), 1))
     values, vectors = np.linalg.eigh(inertia)
     vectors[..., 0] *= np.sign(np.linalg.det(vectors))[:, None]
-    fields["body_inertia"][:, body] = values
-    fields["body_iquat"][:, body] = rotation_to_quat(vectors)
+    return values, rotation_to_quat(vectors)
 
 
 def _drop_shortcuts(model: mujoco.MjModel, fields: dict[str, Array]) -> None:
