@@ -195,6 +195,16 @@ def fixed_thigh(robot: Robot, folder: Path) -> None:
         reframe(robot, f"{name}_fixed", (0, 0, -np.pi / 2))
 
 
+def negative_axes(robot: Robot, folder: Path) -> None:
+    """Lite3: hinges turn about -x, -y and -y."""
+    for hinge_ in robot.findall("joint[@type='revolute']"):
+        axis, limit = hinge_.find("axis"), hinge_.find("limit")
+        axis.set("xyz", " ".join(str(-float(x)) for x in axis.get("xyz").split()))
+        lower, upper = (float(limit.get(key)) for key in ("lower", "upper"))
+        limit.set("lower", str(-upper))
+        limit.set("upper", str(-lower))
+
+
 def continuous_joints(robot: Robot, folder: Path) -> None:
     """mini-cheetah: hinges without limits."""
     for hinge_ in robot.findall("joint[@type='revolute']"):
@@ -264,7 +274,9 @@ def massless_links(robot: Robot, folder: Path) -> None:
             link(f"{name}_lower", shape("collision", '<cylinder radius="0.011" length="0.06"/>', "0.01 0 -0.03")),
             joint(f"{name}_to_lower", "fixed", name, f"{name}_lower", "0 0 -0.12"),
         )
-    add(robot, link("imu"), joint("imu_joint", "fixed", "trunk", "imu", "-0.02 0 0.03"))
+    nothing = inertial(0, (0, 0, 0), (0, 0, 0))
+    for name, content in (("imu", ()), ("radar", (nothing,))):
+        add(robot, link(name, *content), joint(f"{name}_joint", "fixed", "trunk", name, "-0.02 0 0.03"))
 
 
 # another, sound robot
@@ -556,6 +568,7 @@ SAME = _by_name(
     massless_links,
 )
 OTHER = _by_name(
+    negative_axes,
     lateral_knee,
     oblique_foot,
     heavy_foot_link,

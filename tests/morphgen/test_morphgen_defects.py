@@ -89,6 +89,17 @@ def test_other_words_for_the_same_robot_change_nothing(load, name):
         assert_allclose(other.stance([DESIGN]).joints, clean.stance([DESIGN]).joints, atol=1e-9)
 
 
+def test_hinges_the_other_way_round_only_change_signs(load):
+    clean, other = load("clean"), load("negative_axes")
+    assert_allclose(other.stance([DESIGN]).joints, -clean.stance([DESIGN]).joints, atol=1e-9)
+    joints, sign = clean.layout.joints, np.diag([1.0] * 6 + [-1.0] * 12)
+    ours, theirs = clean.spec(DESIGN).compile(), other.spec(DESIGN).compile()
+    for base, angles in random_poses(2, 4):
+        data, twin = pose(ours, base, joints, angles), pose(theirs, base, joints, -angles)
+        matrix = sign @ mass_matrix(theirs, twin, joints) @ sign
+        assert_allclose(matrix, mass_matrix(ours, data, joints), atol=1e-9)
+
+
 def test_feet_of_the_clean_robot_by_hand(load):
     model = compile_urdf(load("clean").urdf(DESIGN))
     data = pose(model, np.array([0, 0, 0, 1, 0, 0, 0]), (), np.array([]))

@@ -147,6 +147,17 @@ def test_placeholders_need_no_permission(tmp_path):
     assert_allclose(tree.links[tree.link("base")].inertial.inertia, 1e-6 * np.eye(3))
 
 
+def test_an_inertia_of_next_to_nothing_is_none(tmp_path):
+    text = defects.write("dummy_root", tmp_path).read_text()
+    tiny = '<inertial><mass value="0.1"/><inertia ixx="1e-27" iyy="1e-27" izz="1e-27"/></inertial>'
+    text = text.replace('<link name="base"/>', f'<link name="base">{tiny}</link>')
+    tree, notes = with_valid_inertia(read_tree(text))
+    assert len(notes) == 1
+    assert not tree.links[tree.link("base")].inertial.inertia.any()
+    assert tree.links[tree.link("base")].inertial.mass == 0.1
+    assert not compiles(1e-27 * np.eye(3))
+
+
 def test_every_culprit_is_named_at_once(tmp_path):
     with pytest.raises(MorphologyError) as caught:
         with_valid_inertia(tree_of("invalid_shank", tmp_path))

@@ -2,6 +2,8 @@
 
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory, scale_urdf
+from morphgen.inspection.findings import Inspection
+from morphgen.inspection.inspect import inspect
 from morphgen.robots import from_urdf, go2, lite3, load_robot
 from morphgen.scaling.bodies import RULES, Rule
 from morphgen.scaling.design import PARAMETERS, SCALE_NAMES, DesignSpace
@@ -25,6 +27,7 @@ __all__ = [
     "DesignSpace",
     "Drive",
     "GainRule",
+    "Inspection",
     "Layout",
     "MorphologyError",
     "Rule",
@@ -35,6 +38,7 @@ __all__ = [
     "flat_scene",
     "from_urdf",
     "go2",
+    "inspect",
     "lite3",
     "load_robot",
     "scale_urdf",

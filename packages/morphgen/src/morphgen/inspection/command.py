@@ -61,6 +61,8 @@ def print_inspection(found: Inspection, console: Console) -> None:
     if found.links:
         height = "" if found.hip_height is None else f", stands with its thigh joints {found.hip_height:.3f} m high"
         say(f"{len(found.links)} links, {found.total_mass:.3f} kg{height}")
+    if found.legs and found.hip_height is None:
+        say("[yellow]has no sound level stance at its nominal size[/]")
     for table in (_legs(found), _links(found), _joints(found), _meshes(found)):
         if table.row_count:
             console.print(table)

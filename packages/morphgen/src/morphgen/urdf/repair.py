@@ -15,6 +15,8 @@ _FLAT = 1e-9
 """Least thickness: smallest over largest second moment; below it rounding decides whether a simulator accepts."""
 _FLOOR = 1e-6
 """Thickness that a repaired link gets."""
+_NONE = 1e-12
+"""Moment [kg m^2] up to which an inertia is none; simulators refuse eigenvalues not much smaller."""
 _PLACEHOLDER = 1e-5
 """Mass [kg] up to which a link is a mere frame, whose inertia means nothing."""
 _BALL = 0.02
@@ -29,7 +31,7 @@ class Defect:
         link: index of the link.
         problem: what is wrong.
         repairable: whether `repair_tree` can help; a missing or negative mass cannot be guessed.
-        placeholder: whether the link has next to no mass, so that repairing it changes nothing.
+        placeholder: whether the link has next to no mass or inertia, so that repairing it changes nothing.
     """
 
     link: int
@@ -48,6 +50,8 @@ def check_inertia(inertial: Inertial) -> str | None:
         return f"its mass of {inertial.mass:g} kg is negative"
     if not inertial.inertia.any():
         return None
+    if _is_point(inertial):
+        return f"its inertia of at most {np.abs(inertial.inertia).max():.3g} kg m^2 is next to none"
     a, b, c = np.linalg.eigvalsh(inertial.inertia)
     if a <= 0:
         return f"its inertia is not positive definite (principal moments {a:.3g}, {b:.3g}, {c:.3g})"
@@ -75,14 +79,14 @@ def find_defects(tree: Tree) -> list[Defect]:
     for i, link in enumerate(tree.links):
         problem = None if link.inertial is None else check_inertia(link.inertial)
         if link.inertial is not None and problem is not None:
-            small = 0 <= link.inertial.mass <= _PLACEHOLDER
-            found.append(Defect(i, problem, link.inertial.mass >= 0, small))
+            small = link.inertial.mass <= _PLACEHOLDER or _is_point(link.inertial)
+            found.append(Defect(i, problem, link.inertial.mass >= 0, small and link.inertial.mass >= 0))
     for part in _moving_parts(tree):
         inertials = [(link, inertial) for link in part if (inertial := tree.links[link].inertial) is not None]
         heavy = [(link, inertial) for link, inertial in inertials if inertial.mass > 0]
         if not heavy:
             found.append(Defect(part[0], "the moving part has no mass", False))
-        elif not any(inertial.inertia.any() for _, inertial in heavy):
+        elif all(_is_point(inertial) for _, inertial in heavy):
             heaviest = max(heavy, key=lambda pair: pair[1].mass)[0]
             found.append(Defect(heaviest, "its inertia is zero, and nothing fixed to it has one", True))
     return found
@@ -101,7 +105,7 @@ def repair_tree(tree: Tree) -> tuple[Tree, list[str]]:
 
 
 def with_valid_inertia(tree: Tree, allow_repair: bool = False) -> tuple[Tree, list[str]]:
-    """As `repair_tree` if that is allowed; else only placeholders of at most 1e-5 kg are repaired.
+    """As `repair_tree` if that is allowed; else only placeholders (up to 1e-5 kg or 1e-12 kg m^2) are.
 
     Raises:
         MorphologyError: a defect that may not or cannot be repaired; names every such link and the remedy.
@@ -127,10 +131,12 @@ def _repaired(tree: Tree, defects: list[Defect]) -> tuple[Tree, list[str]]:
     for defect in defects:
         inertial = edited.links[defect.link].inertial
         assert inertial is not None
-        if defect.placeholder:
+        if defect.placeholder and _is_point(inertial):
+            new, done = np.zeros((3, 3)), "taken as a point"
+        elif defect.placeholder:
             new = max(np.diag(inertial.inertia).max(), 0.0) * np.eye(3)
             done = f"a placeholder of {inertial.mass:g} kg, taken as a ball"
-        elif not inertial.inertia.any():
+        elif _is_point(inertial):
             radius = _ball_radius(edited, defect.link)
             new = 0.4 * inertial.mass * radius**2 * np.eye(3)
             done = f"it gets that of a ball of {radius * 1000:.0f} mm radius"
@@ -141,6 +147,10 @@ def _repaired(tree: Tree, defects: list[Defect]) -> tuple[Tree, list[str]]:
         _write(edited.links[defect.link].element, new)
         notes.append(f"link '{edited.links[defect.link].name}': {defect.problem}; {done}")
     return parse_tree(edited.element), notes
+
+
+def _is_point(inertial: Inertial) -> bool:
+    return bool(np.abs(inertial.inertia).max() <= _NONE)
 
 
 def _listed(tree: Tree, defects: list[Defect]) -> str:
