@@ -31,6 +31,26 @@ def vendor(gains: GainRule) -> BodyFactory:
     return BodyFactory("vendor", vendors_robot(), rule="stretch", space=space, gains=gains, drive=drive)
 
 
+def aligned_robot() -> str:
+    """Frames that coincide as long as nothing is stretched: MuJoCo then takes one for the other."""
+    robot = defects.clean()
+    defects.oblique_foot(robot, None)
+    for shank, _, _ in defects.each(robot, "link", "shank"):
+        shank.remove(shank.find("inertial"))
+        defects.add(shank, defects.inertial(0.19, (0.02, 0, -0.1), (1.27e-3, 1.25e-3, 3.6e-5)))
+    for thigh, _, _ in defects.each(robot, "link", "thigh"):
+        thigh.remove(thigh.find("inertial"))
+        defects.add(thigh, defects.inertial(1.18, (0, 0, -0.1), (0.0062, 0.0061, 0.0011)))
+        for tag in ("inertial", "collision"):
+            thigh.find(f"{tag}/origin").set("rpy", "0 0.2 0")
+    return etree.tostring(robot, encoding="unicode")
+
+
+def aligned(gains: GainRule) -> BodyFactory:
+    drive = Drive(60.0, 1.5, ARMATURE, DAMPING, FRICTION)
+    return BodyFactory("aligned", aligned_robot(), rule="stretch", gains=gains, drive=drive)
+
+
 ROBOTS = {
     "go2-paper": lambda gains: load_robot("go2", gains=gains),
     "go2-paper-wide": lambda gains: load_robot("go2", space=DesignSpace.wide(), gains=gains),
@@ -41,8 +61,16 @@ ROBOTS = {
         "lite3", rule="stretch", space=DesignSpace.per_leg(0.8, 1.2), gains=gains
     ),
     "vendor": vendor,
+    "aligned": aligned,
 }
-QUICK = {"go2-paper-stance", "go2-stretch-none", "lite3-lumped-stance", "go2-stretch-wide-stance", "vendor-stance"}
+QUICK = {
+    "go2-paper-stance",
+    "go2-stretch-none",
+    "lite3-lumped-stance",
+    "go2-stretch-wide-stance",
+    "vendor-stance",
+    "aligned-none",
+}
 PAIRS = [
     pytest.param((name, gains), id=f"{name}-{gains}", marks=() if f"{name}-{gains}" in QUICK else pytest.mark.slow)
     for name in ROBOTS
@@ -261,13 +289,14 @@ def test_one_design_repeated_is_what_it_is_among_others(robot, batch):
 
 
 def test_gains_reach_the_torque(robot, batch):
-    """eta = 1, or mass over nominal mass times leg length over nominal leg length, both measured in the models."""
+    """eta = 1, or mass over nominal mass times leg length over nominal leg length, both measured in the models;
+    lengths across the hinges, which are along y."""
     sims = simulations(batch)
     measured = []
     for i in range(batch.n):
         model = sims.get_model(i)
         legs = [
-            sum(np.linalg.norm(model.body(robot.layout.body(leg, part)).pos) for part in (2, 3)) for leg in range(4)
+            sum(np.hypot(*model.body(robot.layout.body(leg, part)).pos[[0, 2]]) for part in (2, 3)) for leg in range(4)
         ]
         measured.append(model.body_mass.sum() * np.mean(legs))
     for i in range(batch.n):
@@ -283,6 +312,17 @@ def test_gains_reach_the_torque(robot, batch):
         assert_allclose(data.actuator_force, eta * (kp * error - kd * rate), rtol=1e-9, atol=1e-12)
         assert_allclose(batch.kp[i], eta * kp, rtol=1e-9)
         assert_allclose(batch.kd[i], eta * kd, rtol=1e-9)
+
+
+def test_the_aligned_robot_has_frames_that_coincide_until_it_is_stretched():
+    same = mujoco.mjtSameFrame
+    robot = aligned(GainRule())
+    nominal, other = (robot.spec(design).compile() for design in (np.ones(4), np.full(4, 1.3)))
+    thigh, shank = (nominal.body(f"FL_{part}").id for part in ("thigh", "shank"))
+    box = int(nominal.body_geomadr[thigh])
+    assert nominal.geom_sameframe[box] == same.mjSAMEFRAME_INERTIA
+    assert nominal.body_sameframe[shank] == same.mjSAMEFRAME_BODYROT
+    assert other.geom_sameframe[box] == other.body_sameframe[shank] == same.mjSAMEFRAME_NONE
 
 
 def rough_scene() -> mujoco.MjSpec:

@@ -14,7 +14,6 @@ from morphgen.skeleton import Array, Skeleton
 
 _ALWAYS = ("body_mass", "body_inertia", "body_pos", "body_ipos", "geom_pos", "geom_size")
 _TURNING = ("body_iquat", "geom_quat")
-_SAME = mujoco.mjtSameFrame
 
 
 def model_fields(
@@ -29,8 +28,7 @@ def model_fields(
     Parts equal to the nominal ones keep the compiler's numbers. Orientations are among the fields if any changes.
 
     Args:
-        model: the compiled nominal body; its shortcuts for aligned frames (`body_sameframe`, `geom_sameframe`)
-            are switched off where scaling breaks them.
+        model: the compiled nominal body.
         nominal: the numbers of that body.
         bodies: numbers of n bodies.
         collisions: their geoms.
@@ -62,7 +60,6 @@ def model_fields(
         turned = (collisions.rotation[:, g] != nominal[1].rotation[:, g]).any(axis=(1, 2))
         if turned.any():
             fields["geom_quat"][turned, geom] = rotation_to_quat(collisions.rotation[turned, g])
-    _drop_shortcuts(model, fields)
     return {k: v for k, v in fields.items() if k in _ALWAYS or (v != getattr(model, k)).any()}
 
 
@@ -97,24 +94,3 @@ def _principal(inertia: Array) -> tuple[Array, Array]:
     values, vectors = np.linalg.eigh(inertia)
     vectors[..., 0] *= np.sign(np.linalg.det(vectors))[:, None]
     return values, rotation_to_quat(vectors)
-
-
-def _drop_shortcuts(model: mujoco.MjModel, fields: dict[str, Array]) -> None:
-    """Reset the flags by which MuJoCo takes one frame for another, where that is wrong for any body."""
-    here, level = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
-    of_body = (here, level, _SAME.mjSAMEFRAME_BODY, _SAME.mjSAMEFRAME_BODYROT)
-    owner = model.geom_bodyid
-    of_inertia = (
-        fields["body_ipos"][:, owner],
-        fields["body_iquat"][:, owner],
-        _SAME.mjSAMEFRAME_INERTIA,
-        _SAME.mjSAMEFRAME_INERTIAROT,
-    )
-    for flags, position, rotation, frames in (
-        (model.body_sameframe, fields["body_ipos"], fields["body_iquat"], [of_body]),
-        (model.geom_sameframe, fields["geom_pos"], fields["geom_quat"], [of_body, of_inertia]),
-    ):
-        for place, turn, same, parallel in frames:
-            turned = (rotation != turn).any(axis=(0, 2))
-            moved = (position != place).any(axis=(0, 2))
-            flags[((flags == same) & (moved | turned)) | ((flags == parallel) & turned)] = _SAME.mjSAMEFRAME_NONE
