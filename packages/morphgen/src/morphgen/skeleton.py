@@ -65,5 +65,10 @@ class Skeleton:
 
     @property
     def segment_length(self) -> Array:
-        """(n, 4, 2) distances from thigh joint to knee and from knee to foot centre [m]."""
-        return np.linalg.norm(self.joint_origin[:, :, 2:], axis=-1)
+        """(n, 4, 2) distances from thigh joint to knee and from knee to foot centre, across their axes [m].
+
+        The leg's own plane: sideways offsets, which no length scale changes, do not count.
+        """
+        along = self.joint_origin[:, :, 2:]
+        axis = self.axis[:, 1:]
+        return np.linalg.norm(along - (along * axis).sum(axis=-1, keepdims=True) * axis, axis=-1)
