@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 import yourdfpy
 from lxml import etree
-from morphgen import BodyFactory, MorphologyError
+from morphgen import BodyFactory, MorphologyError, inspect
+from morphgen.export import export_urdf
 from numpy.testing import assert_allclose
 from plain_mujoco import ball_centre, compile_urdf, mass_matrix, pose, random_poses
 
@@ -257,22 +258,23 @@ def test_rotors_keep_their_inertials(factories):
         assert etree.tostring(scaled.find(path), method="c14n") == etree.tostring(original.find(path), method="c14n")
 
 
+def pictured(file: Path, resolve) -> dict[str, np.ndarray]:
+    """Corners of the visual meshes of every link, in its frame, as yourdfpy places them."""
+    robot = yourdfpy.URDF.load(str(file), load_meshes=True, filename_handler=lambda fname: str(resolve(fname)))
+    graph, found = robot.scene.graph, {}
+    for node in graph.nodes_geometry:
+        link = graph.transforms.parents[node]
+        matrix, geometry = graph.get(node)
+        inside = np.linalg.inv(graph.get(link)[0]) @ matrix
+        points = robot.scene.geometry[geometry].vertices @ inside[:3, :3].T + inside[:3, 3]
+        found.setdefault(link, []).append(points)
+    return {link: np.vstack(points) for link, points in found.items()}
+
+
 def test_pictures_stretch_with_the_leg(factories, tmp_path):
     path = ROBOTS["go2"].path()
-
-    def extents(file: Path) -> dict[str, np.ndarray]:
-        robot = yourdfpy.URDF.load(str(file), load_meshes=True, filename_handler=lambda fname: str(path.parent / fname))
-        found = {}
-        for node in robot.scene.graph.nodes_geometry:
-            link = robot.scene.graph.transforms.parents[node]
-            matrix, geometry = robot.scene.graph.get(node)
-            inside = np.linalg.inv(robot.scene.graph.get(link)[0]) @ matrix
-            points = robot.scene.geometry[geometry].vertices @ inside[:3, :3].T + inside[:3, 3]
-            found.setdefault(link, []).append(points)
-        return {link: np.ptp(np.vstack(points), axis=0) for link, points in found.items()}
-
     (tmp_path / "scaled.urdf").write_text(factories("go2").urdf([0.7, 1.3, 1.2, 0.8]), encoding="utf-8")
-    before, after = extents(path), extents(tmp_path / "scaled.urdf")
+    before, after = (pictured(file, lambda name: path.parent / name) for file in (path, tmp_path / "scaled.urdf"))
     factors = {
         "FL_thigh": 0.7,
         "FR_thigh": 0.7,
@@ -283,4 +285,52 @@ def test_pictures_stretch_with_the_leg(factories, tmp_path):
         "FL_hip": 1,
     }
     for link, factor in factors.items():
-        assert_allclose(after[link], before[link] * (1, 1, factor), rtol=1e-3, err_msg=link)
+        wanted = np.ptp(before[link], axis=0) * (1, 1, factor)
+        assert_allclose(np.ptp(after[link], axis=0), wanted, rtol=1e-3, err_msg=link)
+
+
+def test_pictures_of_oblique_shanks_stretch_along_them(factories, tmp_path):
+    path = ROBOTS["anymal_b"].path()
+    export_urdf(factories("anymal_b"), [0.7, 1.3, 1.2, 0.8], tmp_path / "scaled.urdf")
+
+    def resolve(name: str) -> Path:
+        if name.startswith("package://"):
+            return path.parents[3] / name.removeprefix("package://example-robot-data/")
+        return tmp_path / name
+
+    before, after = (pictured(file, resolve) for file in (path, tmp_path / "scaled.urdf"))
+    root = etree.parse(path)
+    steps = [
+        root.find(f"joint[@name='LF_{name}']/origin").get("xyz") for name in ("SHANK_TO_ADAPTER", "ADAPTER_TO_FOOT")
+    ]
+    foot = np.sum([[float(x) for x in step.split()] for step in steps], axis=0)
+    along = foot * (1, 0, 1)  # the hinge is y
+    along /= np.linalg.norm(along)
+    across = np.array([-along[2], 0, along[0]])
+    for link, factor in (("LF_SHANK", 1.3), ("LH_SHANK", 0.8)):
+        axes = np.stack([along if link[1] == "F" else along * (-1, 1, 1), (0, 1, 0)], axis=1)
+        wanted = np.ptp(before[link] @ axes, axis=0) * (factor, 1)
+        assert_allclose(np.ptp(after[link] @ axes, axis=0), wanted, rtol=1e-3, err_msg=link)
+    assert_allclose(np.ptp(after["LF_SHANK"] @ across), np.ptp(before["LF_SHANK"] @ across), rtol=1e-3)
+
+
+KNOWN = {
+    "go1": {("front shank", "centre of mass"): 2.8, ("hind shank", "centre of mass"): 2.8},
+    "laikago": {("front shank", "centre of mass"): 0.8},
+    "go2": {("front shank", "collision"): 2.0},
+}
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_inspection_finds_the_known_asymmetries(name):
+    seen = inspect(ROBOTS[name].path())
+    assert seen.scalable
+    found = {(a.part, a.quantity): a.difference for a in seen.asymmetries if a.unit == "mm"}
+    for key, difference in KNOWN[name].items():
+        assert found[key] == pytest.approx(difference, abs=0.05)
+
+
+def test_inspection_of_go2_agrees_with_its_data_sheet():
+    leg = inspect(ROBOTS["go2"].path()).legs[0]
+    assert (leg.hip_offset, leg.thigh, leg.shank) == pytest.approx((0.0955, 0.213, 0.213), abs=1e-4)
+    assert leg.reach == pytest.approx((0.0886, 0.3892), abs=3e-3)  # there for a foot 2 mm further forward
