@@ -16,16 +16,14 @@ _ROUNDING = 1e-5
 
 
 def to_mjcf(spec: mujoco.MjSpec) -> str:
-    """The MJCF of a spec whose bodies, inertias, geoms and joints read back to the compiled float64 values.
+    """The MJCF of a spec whose bodies, inertias, geoms, joints and servos read back to the compiled float64 values.
 
     `MjSpec.to_xml()` rounds to six digits, which would make an exported robot a slightly different one. Only
     attributes of named elements that agree with the compiled model up to that rounding are replaced.
     """
     model = spec.compile()
     root = parse_xml(spec.to_xml(), "MJCF")
-    world = root.find("worldbody")
-    assert world is not None
-    for element in world.iter():
+    for element in root.iter("body", "geom", "joint", "general"):
         name = element.get("name")
         if name is None:
             continue
@@ -46,7 +44,13 @@ def to_mjcf(spec: mujoco.MjSpec) -> str:
             _refine(element, {"size": geom.size, "pos": geom.pos, "quat": geom.quat})
         elif element.tag == "joint":
             joint = model.joint(name)
-            _refine(element, {"axis": joint.axis, "range": joint.range, "pos": joint.pos})
+            values = {
+                key: getattr(joint, key) for key in ("axis", "range", "pos", "armature", "damping", "frictionloss")
+            }
+            _refine(element, values | {"actuatorfrcrange": model.jnt_actfrcrange[joint.id]})
+        else:
+            servo = model.actuator(name)
+            _refine(element, {key: getattr(servo, key) for key in ("gainprm", "biasprm", "forcerange")})
     return to_text(root)
 
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from morphgen.palette import PALETTE
 from morphgen.scaling.articulate import Collisions
 from morphgen.simulation.drive import Drive
 from morphgen.simulation.layout import Layout
@@ -15,14 +16,7 @@ from morphgen.skeleton import Array, Skeleton
 
 FLOOR = "floor"
 _PREFIX = "morphgen/"
-_COLORS = {
-    -1: (0.16, 0.18, 0.22, 1.0),
-    0: (0.30, 0.33, 0.38, 1.0),
-    1: (0.85, 0.87, 0.90, 1.0),
-    2: (0.20, 0.47, 0.75, 1.0),
-    3: (0.10, 0.10, 0.10, 1.0),
-}
-"""Of trunk, hip, thigh, shank and foot."""
+_PARTS = ("hip", "thigh", "shank", "foot", "trunk")
 _GEOM = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
     "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -165,7 +159,7 @@ def _add_geoms(robot: mujoco.MjSpec, collisions: Collisions, layout: Layout) -> 
             size=geom_size(kind, collisions.size[0, g]),
             pos=collisions.position[0, g],
             quat=rotation_to_quat(collisions.rotation[:1, g])[0],
-            rgba=_COLORS[part],
+            rgba=np.array(PALETTE[_PARTS[part]]) / 255,
             contype=1,
             conaffinity=0,
         )

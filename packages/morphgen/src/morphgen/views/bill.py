@@ -13,7 +13,7 @@ from morphgen.factory import BodyFactory
 from morphgen.files import write_text
 from morphgen.skeleton import Array, Skeleton
 
-COLUMNS = (
+COLUMNS: tuple[str, ...] = (
     "part",
     "length_m",
     "nominal_length_m",

@@ -13,22 +13,13 @@ from trimesh.visual.color import ColorVisuals
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
 from morphgen.files import replacing
+from morphgen.palette import PALETTE, Color
 from morphgen.urdf.meshes import face_colors, read_stl, scaled
 from morphgen.urdf.tree import ACTUATED, Array, Shape, Tree, read_tree
 from morphgen.urdf.xml import Element, read_vector
 
 WORLD = "/world"  # no link of a robot is called so
-PALETTE = {
-    "trunk": (74, 82, 96, 255),
-    "hip": (112, 122, 137, 255),
-    "thigh": (217, 222, 230, 255),
-    "shank": (51, 120, 191, 255),
-    "foot": (38, 40, 44, 255),
-}
-"""Colours of the parts of a robot whose file gives none."""
 _SECTIONS = 48
-
-Color = tuple[int, int, int, int]
 
 
 def body_scene(factory: BodyFactory, design: ArrayLike) -> trimesh.Scene:
