@@ -23,7 +23,7 @@ def to_mjcf(spec: mujoco.MjSpec) -> str:
     """
     model = spec.compile()
     root = parse_xml(spec.to_xml(), "MJCF")
-    for element in root.iter("body", "geom", "joint", "general"):
+    for element in root.iter():
         name = element.get("name")
         if name is None:
             continue
@@ -48,7 +48,7 @@ def to_mjcf(spec: mujoco.MjSpec) -> str:
                 key: getattr(joint, key) for key in ("axis", "range", "pos", "armature", "damping", "frictionloss")
             }
             _refine(element, values | {"actuatorfrcrange": model.jnt_actfrcrange[joint.id]})
-        else:
+        elif element.tag == "general":
             servo = model.actuator(name)
             _refine(element, {key: getattr(servo, key) for key in ("gainprm", "biasprm", "forcerange")})
     return to_text(root)

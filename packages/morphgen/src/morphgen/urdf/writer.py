@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -119,8 +120,11 @@ def _bake_oblique(robot: Robot, shapes: tuple[Shape, ...], morphology: Morpholog
                 if bake_axis(shape.rotation, axis) is not None:
                     continue
                 linear = stretch_map(axis, np.array([scale]))[0] @ shape.rotation @ np.diag(shape.size)
-                name = f"baked/{robot.tree.links[link].name.replace('/', '_')}_{g}.stl"
-                meshes[name] = bake(robot.tree.shapes[g], linear)
+                data = bake(robot.tree.shapes[g], linear)
+                # bodies that share a folder have meshes of their own
+                digest = hashlib.sha256(data).hexdigest()[:12]
+                name = f"baked/{robot.tree.links[link].name.replace('/', '_')}_{g}_{digest}.stl"
+                meshes[name] = data
                 geometry = shape.element.find("geometry/mesh")
                 assert geometry is not None
                 geometry.set("filename", name)
