@@ -18,7 +18,7 @@ Command = Inspect | Scale | Sample | Render | Export | View
 
 def main(args: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    chosen: Command = tyro.cli(Command, args=args, prog="morphgen", description=__doc__)  # pyright: ignore[reportArgumentType]
+    chosen: Command = tyro.cli(Command, args=args, prog="morphgen", description=__doc__)
     try:
         return chosen.run() or 0
     except (MorphologyError, ValueError, OSError) as error:
