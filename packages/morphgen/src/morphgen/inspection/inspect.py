@@ -21,6 +21,7 @@ from morphgen.inspection.findings import (
 from morphgen.scaling.articulate import Collisions
 from morphgen.scaling.bodies import Robot
 from morphgen.skeleton import Array, Skeleton
+from morphgen.stance.reach import leg_reach
 from morphgen.urdf.legs import QUARTERS
 from morphgen.urdf.meshes import MeshFinder
 from morphgen.urdf.repair import check_inertia, find_defects
@@ -197,31 +198,17 @@ def _leg(robot: Robot, skeleton: Skeleton, k: int) -> LegFinding:
     shank = tuple(link for link in leg.parts[2].links if link != leg.foot)
     links = (leg.parts[0].links, leg.parts[1].links, shank, (leg.foot,))
     origin = skeleton.joint_origin[0, k]
-    thigh, knee = skeleton.axis[k, 1], skeleton.axis[k, 2]
+    reach = leg_reach(skeleton)[0, k]
     return LegFinding(
         name=QUARTERS[k],
         joints=tuple(tree.joints[j].name for j in leg.joints),
         links=tuple(tuple(tree.links[link].name for link in part) for part in links),
         hip_offset=float(np.linalg.norm(origin[1])),
-        thigh=float(np.linalg.norm(_across(origin[2], thigh))),
-        shank=float(np.linalg.norm(_across(origin[3], knee))),
-        reach=_reach(origin[2], origin[3], thigh, knee, skeleton.lower[k, 2], skeleton.upper[k, 2]),
+        thigh=float(skeleton.segment_length[0, k, 0]),
+        shank=float(skeleton.segment_length[0, k, 1]),
+        reach=(float(reach[0]), float(reach[1])),
         foot_radius=float(skeleton.foot_radius[0, k]),
     )
-
-
-def _reach(thigh: Array, shank: Array, hinge: Array, knee: Array, lower: float, upper: float) -> tuple[float, float]:
-    """Least and largest distance of the foot from the thigh joint's axis over the knee's range."""
-    angles = np.linspace(max(lower, -np.pi), min(upper, np.pi), 2001)[:, None]
-    along = knee * (knee @ shank)
-    turned = along + np.cos(angles) * (shank - along) + np.sin(angles) * np.cross(knee, shank)
-    distance = np.linalg.norm(_across(thigh + turned, hinge), axis=-1)
-    return float(distance.min()), float(distance.max())
-
-
-def _across(vectors: Array, axis: Array) -> Array:
-    """Vectors (..., 3) without their share along a unit axis (3,)."""
-    return vectors - (vectors @ axis)[..., None] * axis
 
 
 def _asymmetries(skeleton: Skeleton, collisions: Collisions) -> Iterator[Asymmetry]:
