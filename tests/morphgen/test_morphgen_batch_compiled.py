@@ -268,6 +268,7 @@ def test_bodies_touch_the_floor_and_move_as_their_exported_urdf(robot, batch):
         assert_allclose(np.sort(data[0].contact.dist), np.sort(data[1].contact.dist), atol=1e-9)
         if not batch.feasible[i]:  # it falls, and differences grow
             continue
+        assert data[1].contact.dist.min() == pytest.approx(-0.003, abs=1e-9)
         ours = trajectory(mine, qpos, batch.stance_ctrl[i])
         ctrl = batch.stance_ctrl[i]
         controls = np.empty(12)
