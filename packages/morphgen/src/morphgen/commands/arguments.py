@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,6 +21,7 @@ from morphgen.stance.gains import GainRule
 from morphgen.urdf.legs import QUARTERS
 
 Scales = tuple[float, float, float, float]
+Space = Literal["paper", "per-leg", "wide"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +93,7 @@ class BodyArguments(RobotArguments):
         return self.factory(space), np.array(list(values.values()))
 
 
-def parse_parameters(assignments: tuple[str, ...]) -> dict[str, float]:
+def parse_parameters(assignments: Sequence[str]) -> dict[str, float]:
     """Values of `name=value` pairs.
 
     Raises:
@@ -124,3 +126,18 @@ def space_around(names: tuple[str, ...], designs: ArrayLike) -> DesignSpace:
             for name, column in zip(names, values.T, strict=True)
         }
     )
+
+
+def named_space(name: Space, vary: tuple[str, ...] = ()) -> DesignSpace:
+    """A design space by its name, or of the parameters `vary` with their usual bounds.
+
+    Raises:
+        MorphologyError: an unknown parameter.
+    """
+    if vary:
+        return DesignSpace.of(
+            **{parameter: BOUNDS[parameter] for parameter in parse_parameters([f"{v}=1" for v in vary])}
+        )
+    if name == "wide":
+        return DesignSpace.wide()
+    return DesignSpace.per_leg() if name == "per-leg" else DesignSpace.leg_scales()

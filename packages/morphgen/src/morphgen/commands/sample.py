@@ -6,17 +6,16 @@ import csv
 import io
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 import tyro
 from rich.progress import track
 
-from morphgen.commands.arguments import RobotArguments, parse_parameters
+from morphgen.commands.arguments import RobotArguments, Space, named_space
 from morphgen.errors import MorphologyError
 from morphgen.export import export_urdf
 from morphgen.files import replacing, write_text
-from morphgen.scaling.design import BOUNDS, SCALE_NAMES, DesignSpace
 from morphgen.views.sheet import contact_sheet
 
 _PICTURED = 48
@@ -31,7 +30,7 @@ class Sample(RobotArguments):
     """Folder to write designs.csv and sheet.png to."""
     count: int = 16
     """Number of bodies."""
-    space: Literal["paper", "per-leg", "wide"] = "paper"
+    space: Space = "paper"
     """Design parameters: the paper's four scales, eight scales of the single legs, or the wide space."""
     vary: tuple[str, ...] = ()
     """Design parameters by name, in place of a named space."""
@@ -44,7 +43,7 @@ class Sample(RobotArguments):
         """Write the folder."""
         if self.count < 1:
             raise MorphologyError(f"--count must be at least 1, got {self.count}")
-        space = self._space()
+        space = named_space(self.space, self.vary)
         factory = self.factory(space)
         designs = factory.sample(self.count, np.random.default_rng(self.seed))
         skeleton, stance = factory.skeleton(designs), factory.stance(designs)
@@ -64,13 +63,3 @@ class Sample(RobotArguments):
                 export_urdf(factory, design, self.output / f"body_{i:0{digits}}.urdf")
         print(f"{self.count} bodies of {factory.name} in {self.output}")
         return 0
-
-    def _space(self) -> DesignSpace:
-        if self.vary:
-            names = list(parse_parameters(tuple(f"{name}=1" for name in self.vary)))
-            return DesignSpace.of(**{name: BOUNDS[name] for name in names})
-        if self.space == "wide":
-            return DesignSpace.wide()
-        if self.space == "per-leg":
-            return DesignSpace.per_leg()
-        return DesignSpace.of(**{name: BOUNDS[name] for name in SCALE_NAMES})
