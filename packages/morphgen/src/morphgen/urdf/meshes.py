@@ -167,6 +167,11 @@ def read_stl(data: bytes) -> trimesh.Trimesh:
     return trimesh.load_mesh(io.BytesIO(data), file_type="stl")
 
 
+def has_colors(mesh: trimesh.Trimesh) -> bool:
+    """Whether the mesh has colours by vertex or face."""
+    return isinstance(mesh.visual, ColorVisuals) and mesh.visual.defined
+
+
 def face_colors(mesh: trimesh.Trimesh) -> NDArray[np.uint8] | None:
     """(m, 4) colours of the faces; None if the mesh has no colours."""
     visual = mesh.visual

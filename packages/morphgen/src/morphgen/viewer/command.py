@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import io
+import sys
 import webbrowser
 from dataclasses import dataclass
-from pathlib import Path
 
+from morphgen.commands.arguments import RobotArguments, Space, named_space
 from morphgen.errors import MorphologyError
-from morphgen.factory import BodyFactory
-from morphgen.robots import load_robot
 
 
-@dataclass(frozen=True)
-class View:
+@dataclass(frozen=True, kw_only=True)
+class View(RobotArguments):
     """Show the robot in the browser with a slider for each design parameter."""
 
-    robot: str = "go2"
-    """Built-in robot."""
-    urdf: Path | None = None
-    """Your own URDF, in place of a built-in robot."""
+    space: Space = "paper"
+    """Sliders: the paper's four scales, eight scales of the single legs, or the wide space."""
+    vary: tuple[str, ...] = ()
+    """Design parameters by name, in place of a named space."""
     port: int = 8080
     """Port of the page; the next free one is taken if it is in use."""
     host: str = "127.0.0.1"
@@ -28,7 +27,7 @@ class View:
     open: bool = True
     """Open the page in your browser."""
 
-    def run(self) -> None:
+    def run(self) -> int:
         """Serve the page until Ctrl-C."""
         try:
             import viser
@@ -38,9 +37,10 @@ class View:
             if error.name != "viser":
                 raise
             raise MorphologyError("the viewer needs viser: pip install 'legged-morphgen[viewer]'") from error
-        factory = self._factory()
-        # viser prints a banner of its own
-        with contextlib.redirect_stdout(io.StringIO()):
+        factory = self.factory(named_space(self.space, self.vary))
+        for note in factory.notes:
+            print(note, file=sys.stderr)
+        with _quiet():
             server = viser.ViserServer(self.host, self.port, verbose=False)
         try:
             page = Page(server, factory)
@@ -52,9 +52,11 @@ class View:
         except KeyboardInterrupt:
             pass
         finally:
-            server.stop()
+            with _quiet():
+                server.stop()
+        return 0
 
-    def _factory(self) -> BodyFactory:
-        if self.urdf is None:
-            return load_robot(self.robot)
-        return BodyFactory(self.urdf.stem, self.urdf.read_text(encoding="utf-8"), source=str(self.urdf))
+
+def _quiet() -> contextlib.redirect_stdout[io.StringIO]:
+    """Keeps viser's own announcements off the terminal."""
+    return contextlib.redirect_stdout(io.StringIO())

@@ -14,7 +14,7 @@ from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
 from morphgen.files import replacing
 from morphgen.palette import PALETTE, Color
-from morphgen.urdf.meshes import face_colors, read_stl, scaled
+from morphgen.urdf.meshes import face_colors, has_colors, read_stl, scaled
 from morphgen.urdf.tree import ACTUATED, Array, Shape, Tree, read_tree
 from morphgen.urdf.xml import Element, read_vector
 
@@ -97,7 +97,7 @@ class _Shapes:
 
     def _placed(self, g: int, shape: Shape) -> tuple[trimesh.Trimesh, Array]:
         mesh = primitive_mesh(shape) if shape.mesh is None else self._mesh(g, shape)
-        if face_colors(mesh) is None:
+        if not has_colors(mesh):  # colours by face take long to make from those by vertex
             mesh.visual = ColorVisuals(mesh, face_colors=np.tile(self._color(shape), (len(mesh.faces), 1)))
         return mesh, _pose(shape.position, shape.rotation)
 
