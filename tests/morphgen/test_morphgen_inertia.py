@@ -155,8 +155,9 @@ def motor_and_rod(rng: np.random.Generator, motor_mass: float, rod_mass: float):
     axis, joint, length = unit(rng), rng.normal(size=3) * 0.1, float(rng.uniform(0.1, 0.4))
     masses, points = cloud(rng, (0.04, 0.04, 0.04), 12)
     masses *= motor_mass / masses.sum()
-    # a thick motor centred level with the joint; off the axis it may be
-    points += axis * ((joint - masses @ points / masses.sum()) @ axis)
+    # a thick motor centred level with the joint, a little beside it
+    beside = np.cross(axis, rng.normal(size=3) * 0.02)
+    points += joint + beside - masses @ points / masses.sum()
     return (masses, points), rod(rod_mass, joint, joint + length * axis), axis, joint, length
 
 
