@@ -180,15 +180,15 @@ def _lump(tree: Tree, bodies: Bodies, segment: Segment, length: Array, factor: A
 
 
 def _scale_foot(tree: Tree, bodies: Bodies, foot: int, scale: Array, visuals: bool) -> None:
-    """A solid ball: mass by the cube and inertia by the fifth power of its radius."""
+    """A solid ball: mass by the cube and inertia by the fifth power of its radius; a foot with a shank keeps both."""
     ball = ball_index(tree, foot)
-    inertial = tree.links[foot].inertial
-    shape = tree.shapes[ball]
-    if inertial is not None and float(np.linalg.norm(inertial.com - shape.position)) <= float(shape.size[0]):
+    inertial, shape = tree.links[foot].inertial, tree.shapes[ball]
+    alone = inertial is None or float(np.linalg.norm(inertial.com - shape.position)) <= float(shape.size[0])
+    if alone:
         bodies.mass[:, foot] *= scale**3
         bodies.inertia[:, foot] *= (scale**5)[:, None, None]
     for g, other in enumerate(tree.shapes):
-        if other.link == foot and (g == ball or (visuals and not other.collision)):
+        if g == ball or (other.link == foot and visuals and alone and not other.collision):
             bodies.shape_size[:, g] *= scale[:, None]
 
 
