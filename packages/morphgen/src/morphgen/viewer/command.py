@@ -42,18 +42,18 @@ class View(RobotArguments):
             print(note, file=sys.stderr)
         with _quiet():
             server = viser.ViserServer(self.host, self.port, verbose=False)
-        try:
-            page = Page(server, factory)
-            url = f"http://{'localhost' if self.host in ('127.0.0.1', '0.0.0.0') else self.host}:{server.get_port()}"
-            print(f"{factory.name}: {url} (Ctrl-C ends)", flush=True)
-            if self.open:
-                webbrowser.open(url)
-            page.run()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            with _quiet():
-                server.stop()
+        with contextlib.suppress(KeyboardInterrupt):  # also while it stops
+            try:
+                page = Page(server, factory)
+                host = "localhost" if self.host in ("127.0.0.1", "0.0.0.0") else self.host
+                url = f"http://{host}:{server.get_port()}"
+                print(f"{factory.name}: {url} (Ctrl-C ends)", flush=True)
+                if self.open:
+                    webbrowser.open(url)
+                page.run()
+            finally:
+                with _quiet():
+                    server.stop()
         return 0
 
 

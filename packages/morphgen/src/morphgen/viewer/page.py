@@ -7,7 +7,6 @@ import threading
 import numpy as np
 import trimesh
 import viser
-from trimesh.graph import smooth_shade
 
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
@@ -17,11 +16,10 @@ from morphgen.skeleton import Array
 from morphgen.viewer import text
 from morphgen.viewer.files import mjcf_file, urdf_file
 from morphgen.viewer.picture import Picture, Pictures, Solid
+from morphgen.viewer.surface import to_glb
 
 _STEPS = 50
 """Least number of steps of a slider."""
-_CREASE, _MOST_FACES = 0.6, 10_000
-"""Angle [rad] from which an edge is sharp, and the size from which a mesh keeps the edges of its file."""
 _GHOST_COLOR, _GHOST_OPACITY = (120, 130, 145), 0.3
 _FAILED = 5000
 """How long a message stays [ms]."""
@@ -168,16 +166,8 @@ class Page:
             # a surface is much to send, a pose and a scale are not
             if self._meshes.get(solid.name) is not solid.mesh:
                 self._meshes[solid.name] = solid.mesh
-                self._body[solid.name] = self._server.scene.add_mesh_trimesh(f"/body/{solid.name}", shaded(solid.mesh))
+                self._body[solid.name] = self._server.scene.add_glb(f"/body/{solid.name}", to_glb(solid.mesh))
             _place(self._body[solid.name], solid)
-
-
-def shaded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with normals that smooth its round parts and keep its sharp edges."""
-    if len(mesh.faces) <= _MOST_FACES:
-        mesh = smooth_shade(mesh, angle=_CREASE)
-    _ = mesh.vertex_normals  # are written to files once they are known
-    return mesh
 
 
 def _place(handle: viser.GlbHandle, solid: Solid) -> None:
