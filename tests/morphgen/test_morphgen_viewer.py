@@ -246,23 +246,25 @@ def test_in_a_browser(tmp_path):
 
     def picture():
         image = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"), dtype=int)
-        return image[:, :800]  # without the panel
+        return image[:, :600]  # without the panel
 
     def blue(image):
         """Whether each pixel shows a shank."""
         return (image[..., 2] - image[..., 0] > 60) & (image[..., 2] > 90)
 
     def settled(condition):
-        """The picture once it fulfils the condition and no longer changes."""
-        end, last = time.monotonic() + 120, picture()
+        """The picture once it fulfils the condition and has not changed for 3 s: parts arrive one by one."""
+        end, last, since = time.monotonic() + 120, picture(), time.monotonic()
         while time.monotonic() < end:
+            time.sleep(0.5)
             image = picture()
-            if condition(image) and np.array_equal(image, last):
+            if not np.array_equal(image, last):
+                last, since = image, time.monotonic()
+            elif condition(image) and time.monotonic() - since > 3:
                 return image
-            last = image
         raise AssertionError(f"the picture is not as expected; the page: {browser.evaluate('document.body.innerText')}")
 
-    with serving() as (_, url), Browser(width=1280, height=800, downloads=tmp_path) as browser:
+    with serving() as (_, url), Browser(width=1000, height=600, downloads=tmp_path) as browser:
         browser.open(url)
         browser.wait_for(SHOWS % "Feasible")
         assert browser.evaluate(SHOWS % "total mass 15.019 kg")

@@ -20,7 +20,9 @@ from morphgen.viewer.surface import to_glb
 
 _STEPS = 50
 """Least number of steps of a slider."""
-_GHOST_COLOR, _GHOST_OPACITY = (120, 130, 145), 0.3
+_GHOST_COLOR, _GHOST_OPACITY = (232, 140, 60), 0.35
+_GHOST_SCALE = 0.985
+"""So that the ghost hides in what it shares with the body."""
 _FAILED = 5000
 """How long a message stays [ms]."""
 
@@ -93,10 +95,10 @@ class Page:
             fade_distance=12 * size,
             shadow_opacity=0.25,
         )
-        server.scene.configure_environment_map("studio", environment_intensity=0.6)
+        server.scene.configure_environment_map("studio", environment_intensity=0.35)
         server.initial_camera.position = (2.2 * size, -2.9 * size, 1.4 * size)
         # the panel covers the right of the page
-        server.initial_camera.look_at = (0.24 * size, 0.2 * size, 0.3 * size)
+        server.initial_camera.look_at = (0.24 * size, 0.2 * size, 0.37 * size)
         server.initial_camera.fov = np.radians(35)
 
     def _build_panel(self) -> None:
@@ -141,6 +143,8 @@ class Page:
                 solid.mesh.faces,
                 color=_GHOST_COLOR,
                 opacity=_GHOST_OPACITY,
+                flat_shading=True,
+                scale=_GHOST_SCALE,
                 position=solid.position,
                 wxyz=solid.wxyz,
                 cast_shadow=False,
