@@ -25,7 +25,7 @@ from morphgen.cli import main
 from morphgen.viewer import text
 from morphgen.viewer.files import mjcf_file, urdf_file
 from morphgen.viewer.picture import Pictures, stretch
-from morphgen.viewer.surface import to_glb
+from morphgen.views.gltf import to_glb
 from numpy.testing import assert_allclose
 from PIL import Image
 from trimesh.transformations import quaternion_matrix

@@ -16,7 +16,7 @@ from morphgen.skeleton import Array
 from morphgen.viewer import text
 from morphgen.viewer.files import mjcf_file, urdf_file
 from morphgen.viewer.picture import Picture, Pictures, Solid
-from morphgen.viewer.surface import to_glb
+from morphgen.views.gltf import to_glb
 
 _STEPS = 50
 """Least number of steps of a slider."""

@@ -12,11 +12,12 @@ from trimesh.visual.color import ColorVisuals
 
 from morphgen.errors import MorphologyError
 from morphgen.factory import BodyFactory
-from morphgen.files import replacing
+from morphgen.files import write_bytes
 from morphgen.palette import PALETTE, Color
 from morphgen.urdf.meshes import face_colors, has_colors, read_stl, scaled
 from morphgen.urdf.tree import ACTUATED, Array, Shape, Tree, read_tree
 from morphgen.urdf.xml import Element, read_vector
+from morphgen.views.gltf import to_glb
 
 WORLD = "/world"  # no link of a robot is called so
 _SECTIONS = 48
@@ -61,10 +62,7 @@ def export_glb(scene: trimesh.Scene, path: Path) -> None:
     """Write a scene as binary glTF, whose up is y, atomically."""
     turned = scene.copy()
     turned.apply_transform(rotation_matrix(-np.pi / 2, [1, 0, 0]))
-    data = turned.export(file_type="glb")
-    assert isinstance(data, bytes)
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
+    write_bytes(path, to_glb(turned))
 
 
 class _Shapes:

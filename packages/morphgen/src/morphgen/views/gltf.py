@@ -16,8 +16,18 @@ _CREASE, _MOST_FACES = 0.6, 10_000
 _MATT = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.75}}
 
 
-def to_glb(mesh: trimesh.Trimesh) -> bytes:
-    """A mesh as binary glTF in its own axes, coloured by vertex."""
+def to_glb(shown: trimesh.Trimesh | trimesh.Scene) -> bytes:
+    """A mesh or a scene as binary glTF in its own axes, coloured by vertex."""
+    scene = trimesh.Scene(shown) if isinstance(shown, trimesh.Trimesh) else shown.copy()
+    for name, mesh in scene.geometry.items():
+        assert isinstance(mesh, trimesh.Trimesh)
+        scene.geometry[name] = _surface(mesh)
+    data = scene.export(file_type="glb", tree_postprocessor=_make_matt)
+    assert isinstance(data, bytes)
+    return data
+
+
+def _surface(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     shown = smooth_shade(mesh, angle=_CREASE) if len(mesh.faces) <= _MOST_FACES else mesh.copy()
     _ = shown.vertex_normals  # are written once they are known
     if has_colors(shown):
@@ -25,9 +35,7 @@ def to_glb(mesh: trimesh.Trimesh) -> bytes:
         # glTF takes the colours of vertices as linear in light
         colors[:, :3] = np.round(255 * _linear(colors[:, :3] / 255))
         shown.visual = ColorVisuals(shown, vertex_colors=colors)
-    data = trimesh.Scene(shown).export(file_type="glb", tree_postprocessor=_make_matt)
-    assert isinstance(data, bytes)
-    return data
+    return shown
 
 
 def _linear(color: np.ndarray) -> np.ndarray:
