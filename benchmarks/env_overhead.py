@@ -9,8 +9,13 @@ under targets stance + N(0, 0.15) rad, in alternating runs of one process. The b
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass
+from pathlib import Path
+
+# the folder of this file has a morphgen.py, which `import morphgen` would find
+sys.path = [folder for folder in sys.path if Path(folder) != Path(__file__).parent]
 
 import numpy as np
 import torch

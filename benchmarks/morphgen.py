@@ -16,7 +16,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-sys.path.pop(0)  # the folder of this file, which `import morphgen` would find
+# the folder of this file, where `import morphgen` would find this file
+sys.path = [folder for folder in sys.path if Path(folder) != Path(__file__).parent]
 
 import mujoco
 import numpy as np
