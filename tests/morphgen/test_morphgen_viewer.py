@@ -197,7 +197,12 @@ def serving(*args):
         port = free.getsockname()[1]
     command = [sys.executable, "-c", "import sys; from morphgen.cli import main; sys.exit(main())", "view"]
     process = subprocess.Popen(
-        [*command, "--no-open", "--port", str(port), *args], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*command, "--no-open", "--port", str(port), *args],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # a test session in the background ignores Ctrl-C and would hand that down
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     try:
         line = process.stdout.readline()
