@@ -15,6 +15,7 @@ from codesign_bo import BoxSpace, Study, sobol_designs
 from locorl import EvalConfig, Policy, Trainer, evaluate, feasible, load_policy
 from locorl.config import to_dict
 from locorl.interfaces import Array
+from morphgen.export import export_urdf
 from rich.console import Console
 
 from legged_codesign import student as student_stage
@@ -247,8 +248,8 @@ class _Run:
         (self.files.folder / "student").mkdir(exist_ok=True)
         load_policy(folder / "policy.pt").save(self.files.folder / "student" / "teacher.pt")
         write_text(self.files.choice, choice.to_json())
-        urdf = self.factory.urdf(choice.design(self.factory.space.names))
-        write_text(self.files.folder / "best.urdf", urdf)
+        design = choice.design(self.factory.space.names)
+        export_urdf(self.factory, design, self.files.folder / "best.urdf")
         self.console.print(f"  {choice.sentence(config.objective)}", highlight=False, soft_wrap=True)
 
     def distil(self) -> None:
