@@ -11,8 +11,10 @@ import tyro
 
 from morphgen.commands.arguments import BodyArguments
 from morphgen.errors import MorphologyError
-from morphgen.export import export_body, export_mjcf, export_urdf
+from morphgen.export import export_body, export_urdf
 from morphgen.factory import BodyFactory
+from morphgen.files import write_text
+from morphgen.simulation.mjcf import to_mjcf
 from morphgen.skeleton import Array
 from morphgen.views.dimensions import dimensions
 
@@ -34,10 +36,10 @@ class Scale(BodyArguments):
         """Write the files."""
         factory, design = self.body()
         _require_stance(factory, design, self.force)
-        mjcf = None if self.mjcf is None else factory.spec(design)  # fails before anything is written
+        mjcf = "" if self.mjcf is None else to_mjcf(factory.spec(design))  # fails before anything is written
         export_urdf(factory, design, self.output, copy_meshes=self.copy_meshes)
-        if self.mjcf is not None and mjcf is not None:
-            export_mjcf(factory, design, self.mjcf)
+        if self.mjcf is not None:
+            write_text(self.mjcf, mjcf)
         _report(factory, design)
         return 0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
@@ -29,9 +29,7 @@ def lite3() -> BodyFactory:
     return _factory(LITE3)
 
 
-DESCRIPTIONS = MappingProxyType({"go2": GO2, "lite3": LITE3})
-"""Their descriptions."""
-ROBOTS: Mapping[str, Callable[[], BodyFactory]] = MappingProxyType({"go2": go2, "lite3": lite3})
+ROBOTS: Mapping[str, QuadrupedDescription] = MappingProxyType({robot.name: robot for robot in (GO2, LITE3)})
 """The built-in robots by name."""
 
 
@@ -51,7 +49,7 @@ def load_robot(
     """
     if name not in ROBOTS:
         raise MorphologyError(f"unknown robot '{name}'; known: {', '.join(ROBOTS)}")
-    return _factory(DESCRIPTIONS[name], rule, space, gains)
+    return _factory(ROBOTS[name], rule, space, gains)
 
 
 def from_urdf(
