@@ -21,8 +21,8 @@ import numpy as np
 import torch
 import tyro
 from locorl import LeggedEnv, TaskConfig, sample_designs
-from locorl.cpu import available_cores
 from locorl.providers import find_factory
+from locorl.simulation.cpu import available_cores
 from mujoco.batch import Batch
 
 from legged_codesign.provenance import provenance

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 from locorl import EvalConfig, evaluate, load_policy, sample_designs
 from locorl.cli import to_json
-from locorl.metrics import read_metrics
+from locorl.learning.metrics import read_metrics
 from locorl.providers import find_factory
 
 from legged_codesign.provenance import provenance

@@ -12,9 +12,9 @@ import distill
 import mujoco
 import numpy as np
 from locorl import EvalConfig, LeggedEnv, Policy, evaluate, flat_scene
+from locorl.env.observation import locomotion_layout
 from locorl.interfaces import Array
-from locorl.observation import locomotion_layout
-from locorl.task import TaskConfig
+from locorl.tasks.task import TaskConfig
 from morphgen import BodyFactory
 from morphgen.simulation.mjcf import to_mjcf
 

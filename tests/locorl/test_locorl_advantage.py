@@ -7,7 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from locorl.advantage import generalised_advantage
+from locorl.learning.advantage import generalised_advantage
 
 
 def column(*values: float) -> torch.Tensor:

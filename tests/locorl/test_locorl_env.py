@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from locorl import CommandConfig, LeggedEnv, RewardConfig, TaskConfig, flat_scene, no_randomisation
-from locorl.rewards import active_terms
+from locorl.rewards.terms import active_terms
 
 QUIET = TaskConfig(randomisation=no_randomisation())
 

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from locorl.kinematics import projected_gravity, to_base_frame, yaw_quat
+from locorl.env.kinematics import projected_gravity, to_base_frame, yaw_quat
 
 number = st.floats(-10, 10).map(lambda x: round(x, 6))
 vectors = arrays(float, 3, elements=number)

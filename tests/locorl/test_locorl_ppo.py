@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 from locorl import PPO, ActorCritic, DivergedError, NetworkConfig, PPOConfig, StepInfo
-from locorl.storage import Minibatch, Rollout
+from locorl.learning.storage import Minibatch, Rollout
 from torch.distributions import Independent, Normal, kl_divergence
 
 DIMS = {"proprio": 3, "explicit": 1, "implicit": 2}

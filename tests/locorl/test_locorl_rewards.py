@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 from locorl import RewardConfig, table_i
-from locorl.rewards import TERMS, StepState, active_terms, total_reward
+from locorl.rewards.terms import TERMS, StepState, active_terms, total_reward
 
 PAPER = {  # Table I, quadruped locomotion, typed in from the paper
     "linear_velocity": 1.0,

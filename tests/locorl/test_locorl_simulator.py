@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from locorl import PhysicsConfig, flat_scene
-from locorl.cpu import CpuSimulator
+from locorl.simulation.cpu import CpuSimulator
 from locorl_box import BoxQuadruped
 
 PHYSICS = PhysicsConfig()

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from locorl import CheckpointError, DivergedError, Trainer, checkpoint
+from locorl import CheckpointError, DivergedError, Trainer
 from locorl.config import to_dict
-from locorl.metrics import read_metrics
+from locorl.learning import checkpoint
+from locorl.learning.metrics import read_metrics
 from locorl_box import BoxQuadruped
 
 

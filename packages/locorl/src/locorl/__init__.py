@@ -1,17 +1,17 @@
 """locorl: simulate thousands of different legged bodies at once and train one policy for all of them."""
 
-from locorl.bodies import design_grid, feasible, repeat_design, sample_designs
-from locorl.checkpoint import CheckpointError
-from locorl.env import LeggedEnv, StepInfo
-from locorl.evaluate import EvalConfig, Evaluation, evaluate
-from locorl.finetune import FinetuneConfig, Finetuned, finetune
-from locorl.networks import ActorCritic, NetworkConfig
-from locorl.policy import Policy, PolicyCard, load_policy
-from locorl.ppo import PPO, DivergedError, PPOConfig
-from locorl.rewards import RewardConfig, table_i
-from locorl.scene import PhysicsConfig, flat_scene
-from locorl.task import CommandConfig, RandomisationConfig, TaskConfig, no_randomisation
-from locorl.train import TrainConfig, Trainer
+from locorl.bodies.designs import design_grid, feasible, repeat_design, sample_designs
+from locorl.env.legged_env import LeggedEnv, StepInfo
+from locorl.learning.checkpoint import CheckpointError
+from locorl.learning.evaluate import EvalConfig, Evaluation, evaluate
+from locorl.learning.finetune import FinetuneConfig, Finetuned, finetune
+from locorl.learning.networks import ActorCritic, NetworkConfig
+from locorl.learning.policy import Policy, PolicyCard, load_policy
+from locorl.learning.ppo import PPO, DivergedError, PPOConfig
+from locorl.learning.train import TrainConfig, Trainer
+from locorl.rewards.terms import RewardConfig, table_i
+from locorl.simulation.scene import PhysicsConfig, flat_scene
+from locorl.tasks.task import CommandConfig, RandomisationConfig, TaskConfig, no_randomisation
 
 __all__ = [
     "PPO",

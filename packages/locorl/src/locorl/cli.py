@@ -15,14 +15,14 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from locorl.bodies import design_grid, feasible, sample_designs
-from locorl.checkpoint import CheckpointError
-from locorl.evaluate import EvalConfig, Evaluation, evaluate
-from locorl.finetune import FinetuneConfig, finetune
-from locorl.policy import load_policy
-from locorl.ppo import DivergedError
+from locorl.bodies.designs import design_grid, feasible, sample_designs
+from locorl.learning.checkpoint import CheckpointError
+from locorl.learning.evaluate import EvalConfig, Evaluation, evaluate
+from locorl.learning.finetune import FinetuneConfig, finetune
+from locorl.learning.policy import load_policy
+from locorl.learning.ppo import DivergedError
+from locorl.learning.train import TrainConfig, Trainer
 from locorl.providers import find_factory
-from locorl.train import TrainConfig, Trainer
 
 console = Console()
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from locorl.bodies import sample_designs
-from locorl.env import LeggedEnv
+from locorl.bodies.designs import sample_designs
+from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import BodyFactory
-from locorl.policy import Policy, load_policy
-from locorl.task import TaskConfig
+from locorl.learning.policy import Policy, load_policy
+from locorl.tasks.task import TaskConfig
 
 
 def is_file(robot: str) -> bool:

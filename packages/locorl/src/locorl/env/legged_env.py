@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from locorl.cpu import CpuSimulator
+from locorl.env.kinematics import projected_gravity, to_base_frame, yaw_quat
+from locorl.env.observation import locomotion_layout
 from locorl.interfaces import Array, BodyBatch, BodyFactory
-from locorl.kinematics import projected_gravity, to_base_frame, yaw_quat
-from locorl.observation import locomotion_layout
-from locorl.rewards import StepState, total_reward
-from locorl.scene import flat_scene
-from locorl.task import RandomisationConfig, TaskConfig
+from locorl.rewards.terms import StepState, total_reward
+from locorl.simulation.cpu import CpuSimulator
+from locorl.simulation.scene import flat_scene
+from locorl.tasks.task import RandomisationConfig, TaskConfig
 
 Obs = dict[str, Tensor]
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from locorl.advantage import generalised_advantage
-from locorl.networks import ActorCritic
-from locorl.storage import Minibatch, Rollout
+from locorl.learning.advantage import generalised_advantage
+from locorl.learning.networks import ActorCritic
+from locorl.learning.storage import Minibatch, Rollout
 
 if TYPE_CHECKING:
-    from locorl.env import LeggedEnv
+    from locorl.env.legged_env import LeggedEnv
 
 
 @dataclass(frozen=True)

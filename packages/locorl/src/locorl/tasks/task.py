@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from locorl.rewards import RewardConfig
-from locorl.scene import PhysicsConfig
+from locorl.rewards.terms import RewardConfig
+from locorl.simulation.scene import PhysicsConfig
 
 
 @dataclass(frozen=True)

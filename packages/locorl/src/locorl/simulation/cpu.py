@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from locorl.interfaces import Array, BodyBatch
-from locorl.simulator import Simulator
+from locorl.simulation.simulator import Simulator
 
 _DIVERGENCE = (
     mujoco.mjtWarning.mjWARN_BADQPOS,

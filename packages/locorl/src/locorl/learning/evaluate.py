@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from locorl.env import LeggedEnv
+from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import Array, BodyFactory
-from locorl.task import CommandConfig, TaskConfig, no_randomisation
+from locorl.tasks.task import CommandConfig, TaskConfig, no_randomisation
 
 
 class Actor(Protocol):

@@ -18,7 +18,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from locorl import checkpoint
+from locorl.learning import checkpoint
 
 
 class MetricsFile:

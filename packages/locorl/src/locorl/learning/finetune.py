@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from locorl.bodies import repeat_design
+from locorl.bodies.designs import repeat_design
 from locorl.interfaces import Array, BodyFactory
-from locorl.metrics import read_metrics
-from locorl.policy import Policy
-from locorl.ppo import PPOConfig
-from locorl.train import TrainConfig, Trainer
+from locorl.learning.metrics import read_metrics
+from locorl.learning.policy import Policy
+from locorl.learning.ppo import PPOConfig
+from locorl.learning.train import TrainConfig, Trainer
 
 
 @dataclass(frozen=True)

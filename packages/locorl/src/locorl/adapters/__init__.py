@@ -1,0 +1,1 @@
+"""LeggedEnv for other libraries."""

@@ -1,0 +1,1 @@
+"""Which bodies to train and test on."""

@@ -1,0 +1,1 @@
+"""LeggedEnv: thousands of different bodies in one batched environment."""

@@ -1,0 +1,1 @@
+"""Watching a policy on a task."""

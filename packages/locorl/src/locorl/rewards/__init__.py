@@ -1,0 +1,1 @@
+"""Reward terms: Table I of the paper and named options."""

@@ -1,0 +1,1 @@
+"""Physics: scenes, the contract of a simulator, and its two implementations."""

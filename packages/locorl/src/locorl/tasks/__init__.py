@@ -1,0 +1,1 @@
+"""Tasks: what the robots are asked to do, where, and when an episode ends."""

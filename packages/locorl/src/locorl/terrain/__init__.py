@@ -1,0 +1,1 @@
+"""Terrains: tiles, the shared map, its heights, and the curriculum over it."""
