@@ -38,7 +38,7 @@ class HeightGrid:
         heights = np.asarray(heights, dtype=np.float64)
         if heights.ndim != 2 or min(heights.shape) < 2 or not np.isfinite(heights).all() or cell <= 0:
             raise ValueError(
-                f"a height grid needs at least 2 x 2 finite nodes and cell > 0, got {heights.shape}, {cell}"
+                f"a height grid needs 2 x 2 finite nodes or more and cell > 0, got {heights.shape}, {cell}"
             )
         self.cell = cell
         self.origin = origin
