@@ -18,7 +18,7 @@ from typing import Annotated
 import numpy as np
 import tyro
 from locorl import EvalConfig, evaluate, load_policy, sample_designs
-from locorl.cli import to_json
+from locorl.commands.evaluate import to_json
 from locorl.learning.metrics import read_metrics
 from locorl.providers import find_factory
 

@@ -18,9 +18,23 @@ PPO = ["--ppo.steps", "6", "--ppo.epochs", "1", "--ppo.minibatches", "2"]
 TRAIN = ["--robot", "box", "--num-envs", "8", *PPO, *NETWORK]
 
 
+class EntryPoint:
+    """Stands in for an installed package that makes a robot."""
+
+    def __init__(self, name: str = "box") -> None:
+        self.name = name
+
+    def load(self):
+        return lambda: BoxQuadruped(self.name)
+
+
+def install(monkeypatch: pytest.MonkeyPatch, *points: object) -> None:
+    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: points if group == "legged.bodies" else [])
+
+
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
+    install(monkeypatch, EntryPoint("box"), EntryPoint("crate"))
     monkeypatch.setattr(sys, "argv", ["locorl", *map(str, arguments)])
-    monkeypatch.setattr(locorl.cli, "find_factory", lambda robot: BoxQuadruped(robot))
     locorl.cli.main()
 
 
@@ -85,7 +99,7 @@ def test_finetune_prints_both_policies(monkeypatch, capsys, trained, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["evaluate", "nowhere.pt"], "no checkpoint at nowhere.pt"),
+        (["evaluate", "nowhere.pt", "--robot", "box"], "no checkpoint at nowhere.pt"),
         (["train", "{run}", "--iterations", 2, "--seed", 5, *TRAIN], "seed: 0 -> 5"),
         (["evaluate", "{run}/policy.pt", "--robot", "crate"], "cannot control 'crate'"),
         (["finetune", "{run}/policy.pt", "{run}/x", "--design", 2, 1, 1, 1, "--robot", "box"], "front_thigh=2 not in"),
@@ -99,16 +113,9 @@ def test_errors_are_one_message_and_a_status(monkeypatch, capsys, trained, argum
     assert message in out
 
 
-class EntryPoint:
-    name = "box"
-
-    def load(self) -> type[BoxQuadruped]:
-        return BoxQuadruped
-
-
 @pytest.mark.parametrize(("installed", "known"), [([], "none"), ([EntryPoint()], "box")])
 def test_an_unknown_robot_names_the_package_to_install(monkeypatch, installed, known):
-    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: installed if group == "legged.bodies" else [])
+    install(monkeypatch, *installed)
     message = rf"no robot 'wolf' \(installed: {known}\).*pip install legged-morphgen"
     with pytest.raises(LookupError, match=message):
         locorl.providers.find_factory("wolf")
@@ -135,7 +142,7 @@ def file(tmp_path):
 
 
 def test_a_path_is_opened_by_the_entry_point_urdf(monkeypatch, file):
-    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: [EntryPoint(), Opener()])
+    install(monkeypatch, EntryPoint(), Opener())
     assert locorl.providers.find_factory(str(file)).name == "wolf"
     assert locorl.providers.find_factory("box").name == "box"
     with pytest.raises(FileNotFoundError, match=r"no robot file 'nowhere/wolf\.URDF'"):
@@ -145,13 +152,13 @@ def test_a_path_is_opened_by_the_entry_point_urdf(monkeypatch, file):
 
 
 def test_a_path_without_an_opener_names_the_package_to_install(monkeypatch, file):
-    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: [EntryPoint()])
+    install(monkeypatch, EntryPoint())
     with pytest.raises(LookupError, match=r"opens '.*wolf\.urdf'.*pip install legged-morphgen"):
         locorl.providers.find_factory(str(file))
 
 
 def test_providers_find_robots_by_entry_point(monkeypatch, trained):
-    monkeypatch.setattr(locorl.providers, "entry_points", lambda group: [EntryPoint()])
+    install(monkeypatch, EntryPoint())
     one = locorl.providers.make_env("box", num_envs=2, design=(1.0, 1.2, 1.0, 1.2))
     np.testing.assert_array_equal(one.bodies.designs, [(1.0, 1.2, 1.0, 1.2)] * 2)
     many = locorl.providers.make_env("box", num_envs=3, seed=1)
