@@ -5,23 +5,31 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
 import torch
-from mujoco.batch import Batch, SimulationError
+from mujoco.batch import SimulationError
 from numpy.typing import NDArray
 from torch import Tensor
 
 from locorl.interfaces import Array, BodyBatch
-from locorl.simulation.simulator import Simulator
+from locorl.simulation.fields import batch_of, centre_of_mass, write_fields
+from locorl.simulation.simulator import Simulator, check_state
 
-_DIVERGENCE = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-)
+_DIVERGENCE = [
+    int(kind)
+    for kind in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+_OVERFLOW = {
+    "contacts": int(mujoco.mjtWarning.mjWARN_CONTACTFULL),
+    "constraints": int(mujoco.mjtWarning.mjWARN_CNSTRFULL),
+}
 
 
 class CpuSimulator(Simulator):
@@ -35,6 +43,7 @@ class CpuSimulator(Simulator):
         substeps: physics steps per control period.
         extra_fields: further per-simulation model fields, (N, *field shape), such as friction.
         threads: worker threads; None takes every core that this process may use.
+        feet: names of the sites that `foot_position` shows.
     """
 
     def __init__(
@@ -43,6 +52,7 @@ class CpuSimulator(Simulator):
         substeps: int,
         extra_fields: Mapping[str, Array] | None = None,
         threads: int | None = None,
+        feet: Sequence[str] = (),
     ) -> None:
         self.num_envs = len(bodies.designs)
         self.device = torch.device("cpu")
@@ -51,8 +61,7 @@ class CpuSimulator(Simulator):
         self.timestep = float(self.model.opt.timestep)
         self.control_dt = self.timestep * substeps
         self.fields = {**bodies.fields, **(extra_fields or {})}
-        self._threads = threads or available_cores()
-        self._batch = self._make_batch(self._threads)
+        self._batch = batch_of(self.model, self.num_envs, threads or available_cores(), self.fields)
 
         bind = self._batch.bind
         self._qvel, self._torque = bind("qvel"), bind("actuator_force")
@@ -61,17 +70,16 @@ class CpuSimulator(Simulator):
         self.ctrl = torch.from_numpy(bind("ctrl"))
         self.torque = _read_only(self._torque)
         self.sensors = _read_only(bind("sensordata"))
+        self._feet = np.array(self._site_ids(feet), dtype=np.int64)
+        self._sites = bind("site_xpos") if len(feet) else np.zeros((self.num_envs, 0, 3))
+        self._foot = np.zeros((self.num_envs, len(feet), 3))
+        self.foot_position = torch.from_numpy(self._foot)
         self._work = np.zeros(self.num_envs)
         self._power = np.zeros((self.num_envs, self.model.nu))
         self.positive_work = torch.from_numpy(self._work)
         self.diverged = torch.zeros(self.num_envs, dtype=torch.bool)
-
-    def _make_batch(self, threads: int) -> Batch:
-        batch = Batch(self.model, self.num_envs, threads)
-        for name, values in self.fields.items():
-            batch.expand(name)[...] = values
-        batch.set_const()
-        return batch
+        self._overflows = dict.fromkeys(_OVERFLOW, 0)
+        self._seen = np.zeros((len(_OVERFLOW), self.num_envs), dtype=np.int32)
 
     def step(self) -> None:
         """Advance one control period, adding up positive joint work at every physics step."""
@@ -88,39 +96,51 @@ class CpuSimulator(Simulator):
             np.maximum(self._power, 0.0, out=self._power)
             self._work += self._power.sum(axis=1)
         self._work *= self.timestep
-        self.diverged |= self._warned()
+        np.take(self._sites, self._feet, axis=1, out=self._foot)
+        self._read_warnings()
         self._work[self.diverged.numpy()] = 0.0
 
-    def _warned(self) -> Tensor:
-        """Simulations that MuJoCo found unstable since their last `set_state`, which zeroes its counters."""
-        # columns of a warning: last info, count; MuJoCo restarts the count at each failure
-        counts = np.asarray(self._batch.warning)[:, [int(kind) for kind in _DIVERGENCE], 1]
-        return torch.from_numpy((counts > 0).any(axis=1))
+    def _read_warnings(self) -> None:
+        # columns of a warning: last info, count; MuJoCo zeroes the counts at each failure, `set_state` too
+        counts = self._batch.warning[:, :, 1]
+        self.diverged |= torch.from_numpy((counts[:, _DIVERGENCE] > 0).any(axis=1))
+        for seen, (name, column) in zip(self._seen, _OVERFLOW.items(), strict=True):
+            count = counts[:, column]
+            self._overflows[name] += int(np.count_nonzero((count != seen) & (count > 0)))
+            seen[:] = count
+
+    @property
+    def overflows(self) -> Mapping[str, int]:
+        """See `Simulator.overflows`: `contacts` and `constraints` that MuJoCo's arena had no room for."""
+        return dict(self._overflows)
 
     def set_state(self, ids: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Simulator.set_state`."""
         rows = np.sort(ids.numpy()).astype(np.int32)  # `Batch` takes only sorted ones
         self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self._seen[:, rows] = 0
         self.qpos[ids] = qpos.to(self.qpos.dtype)
         self.qvel[ids] = qvel.to(self.qvel.dtype)
 
-    def sensor_slice(self, name: str) -> slice:
-        """See `Simulator.sensor_slice`."""
-        sensor = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name)
-        if sensor < 0:
-            known = ", ".join(self.model.sensor(i).name for i in range(self.model.nsensor))
-            raise KeyError(f"the model has no sensor '{name}'; it has: {known}")
-        start = int(self.model.sensor_adr[sensor])
-        return slice(start, start + int(self.model.sensor_dim[sensor]))
+    def set_fields(self, fields: Mapping[str, Array]) -> None:
+        """See `Simulator.set_fields`."""
+        write_fields(self._batch, fields)
+        self.fields = {**self.fields, **fields}
+
+    def model_of(self, index: int) -> mujoco.MjModel:
+        """See `Simulator.model_of`."""
+        return self._batch.get_model(index)
+
+    def data_of(self, index: int) -> mujoco.MjData:
+        """See `Simulator.data_of`."""
+        data = self._batch.get_data(index)
+        mujoco.mj_fwdPosition(self.model_of(index), data)
+        return data
 
     def centre_of_mass(self) -> Tensor:
         """See `Simulator.centre_of_mass`; runs on a batch of its own, so that training pays nothing for it."""
-        batch = self._make_batch(self._threads)
-        subtree, position = batch.bind("subtree_com"), batch.bind("xpos")
-        batch.bind("qpos")[...] = self._batch.bind("qpos")
-        batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS.value)
-        base = int(self.model.jnt_bodyid[0])
-        return torch.from_numpy(subtree[:, base] - position[:, base])
+        batch = batch_of(self.model, self.num_envs, self._batch.nthread, self.fields)
+        return torch.from_numpy(centre_of_mass(batch, self._batch.bind("qpos")))
 
     def state_dict(self) -> dict[str, Tensor]:
         """See `Simulator.state_dict`."""
@@ -128,21 +148,22 @@ class CpuSimulator(Simulator):
             "state": torch.from_numpy(self._batch.state.copy()),
             "torque": self.torque.clone(),
             "sensors": self.sensors.clone(),
+            "foot_position": self.foot_position.clone(),
         }
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """See `Simulator.load_state_dict`.
-
-        Raises:
-            ValueError: the state belongs to another number of simulations or another model.
-        """
-        if tuple(state["state"].shape) != self._batch.state.shape:
-            raise ValueError(
-                f"simulator state has shape {tuple(state['state'].shape)}, this simulation "
-                f"{self._batch.state.shape}: it was saved with another number of robots or another model"
-            )
-        self._batch.state[...] = state["state"].numpy()
+        """See `Simulator.load_state_dict`."""
+        own = {
+            "state": torch.from_numpy(self._batch.state),
+            "torque": self.torque,
+            "sensors": self.sensors,
+            "foot_position": self.foot_position,
+        }
+        check_state(state, own)
+        for name, value in own.items():
+            value.copy_(state[name])
         self._batch.warning[...] = 0
+        self._seen[:] = 0
 
 
 def available_cores() -> int:

@@ -1,0 +1,60 @@
+"""Which simulator to use, and where it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from locorl.interfaces import Array, BodyBatch
+from locorl.simulation.cpu import CpuSimulator
+from locorl.simulation.simulator import Simulator
+
+
+@dataclass(frozen=True)
+class SimulatorConfig:
+    """Backend of the physics."""
+
+    backend: str = "cpu"
+    """`cpu`: MuJoCo's C++ thread pool, float64. `warp`: MuJoCo Warp, float32 (extra `gpu`)."""
+    device: str = "cpu"
+    """Of the `warp` backend: `cuda`, `cuda:1`, ..., or `cpu`, which is for tests: it is slow."""
+    threads: int | None = None
+    """Worker threads of the `cpu` backend; None takes every core that this process may use."""
+    contacts: int = 48
+    """Contacts per robot for which the `warp` backend reserves memory."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no simulator can be."""
+        if self.backend not in ("cpu", "warp"):
+            raise ValueError(f"simulator backend must be 'cpu' or 'warp', got '{self.backend}'")
+        if self.backend == "cpu" and self.device != "cpu":
+            raise ValueError(f"the 'cpu' simulator runs on the CPU; for device '{self.device}' take backend 'warp'")
+        if self.contacts < 1 or (self.threads is not None and self.threads < 1):
+            raise ValueError(f"SimulatorConfig: contacts and threads must be at least 1, got {self}")
+
+
+def make_simulator(
+    config: SimulatorConfig,
+    bodies: BodyBatch,
+    substeps: int,
+    feet: Sequence[str] = (),
+    extra_fields: Mapping[str, Array] | None = None,
+) -> Simulator:
+    """The simulator that `config` asks for.
+
+    Args:
+        config: backend and device.
+        bodies: one body per simulation.
+        substeps: physics steps per control period.
+        feet: names of the sites that `foot_position` shows.
+        extra_fields: further per-simulation model fields, (N, *field shape), such as friction.
+
+    Raises:
+        ModuleNotFoundError: the backend is not installed; the message says how to install it.
+    """
+    if config.backend == "cpu":
+        return CpuSimulator(bodies, substeps, extra_fields, config.threads, feet)
+    # the import takes seconds, and the package is optional
+    from locorl.simulation.warp import WarpSimulator
+
+    return WarpSimulator(bodies, substeps, extra_fields, config.device, feet, config.contacts)
