@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 from locorl import CommandConfig, LeggedEnv, RewardConfig, TaskConfig, flat_scene, no_randomisation
-from locorl.rewards.terms import active_terms
+from locorl.rewards.total import active_terms
 
 QUIET = TaskConfig(randomisation=no_randomisation())
 
@@ -253,7 +253,7 @@ def test_resets_stay_within_the_randomisation(make_env):
 
 
 def test_air_time_is_paid_once_at_touch_down(make_env, designs):
-    only_air_time = dict.fromkeys(active_terms(RewardConfig()), 0.0) | {"air_time": 1.0}
+    only_air_time = dict.fromkeys(active_terms(RewardConfig()), 0.0) | {"feet_air_time": 1.0}
     reward_config = RewardConfig(**only_air_time, air_time_offset=0.0, air_time_cap=10.0)
     task = replace(QUIET, reward=reward_config, command=CommandConfig(vx=(0.5, 0.5), standing=0.0))
     env = make_env(task, designs=designs[:1])

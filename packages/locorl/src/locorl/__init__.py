@@ -9,7 +9,7 @@ from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.learning.policy import Policy, PolicyCard, load_policy
 from locorl.learning.ppo import PPO, DivergedError, PPOConfig
 from locorl.learning.train import TrainConfig, Trainer
-from locorl.rewards.terms import RewardConfig, table_i
+from locorl.rewards.config import RewardConfig, released_code, table_i
 from locorl.simulation.scene import PhysicsConfig, flat_scene
 from locorl.tasks.task import CommandConfig, RandomisationConfig, TaskConfig, no_randomisation
 
@@ -42,6 +42,7 @@ __all__ = [
     "flat_scene",
     "load_policy",
     "no_randomisation",
+    "released_code",
     "repeat_design",
     "sample_designs",
     "table_i",

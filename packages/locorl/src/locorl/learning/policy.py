@@ -16,6 +16,20 @@ from locorl.learning import checkpoint
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.tasks.task import TaskConfig
 
+CARD_FORMAT = 2
+"""Format of the cards that this version writes; it reads format 1 too, which named reward terms otherwise."""
+
+_TERMS_RENAMED = {
+    "linear_velocity": "linear_velocity_tracking",
+    "angular_velocity": "angular_velocity_tracking",
+    "vertical_velocity": "linear_velocity_penalty",
+    "roll_pitch_rate": "angular_velocity_penalty",
+    "hip_position": "hip_position_penalty",
+    "joint_position": "joint_position_penalty",
+    "torque": "torque_penalty",
+    "air_time": "feet_air_time",
+}
+
 
 @dataclass(frozen=True)
 class PolicyCard:
@@ -95,7 +109,12 @@ class Policy:
 
     def content(self) -> dict[str, Any]:
         """The policy as checkpoint content."""
-        return {"kind": "policy", "card": to_dict(self.card), "model": self.model.state_dict()}
+        return {
+            "kind": "policy",
+            "card_format": CARD_FORMAT,
+            "card": to_dict(self.card),
+            "model": self.model.state_dict(),
+        }
 
     def save(self, path: Path) -> None:
         """Write the policy alone, without what resuming its training would need."""
@@ -114,9 +133,20 @@ def load_policy(path: Path) -> Policy:
 def policy_from(content: Mapping[str, Any], path: Path) -> Policy:
     """The policy within checkpoint content read from `path`."""
     try:
-        card = from_dict(PolicyCard, content["card"])
+        card = from_dict(PolicyCard, _current_card(content))
         model = ActorCritic(card.dims, 12, card.network)
         model.load_state_dict(content["model"])
     except (KeyError, ValueError, TypeError, RuntimeError) as error:
         raise checkpoint.CheckpointError(f"{path} holds no policy that this version can read: {error}") from error
     return Policy(model, card)
+
+
+def _current_card(content: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The card in the present format."""
+    card, card_format = content["card"], content.get("card_format", 1)
+    if card_format > CARD_FORMAT:
+        raise ValueError(f"its card has format {card_format}, this version reads up to {CARD_FORMAT}; update locorl")
+    if card_format == CARD_FORMAT:
+        return card
+    reward = {_TERMS_RENAMED.get(name, name): value for name, value in dict(card["task"]["reward"]).items()}
+    return {**card, "task": {**card["task"], "reward": reward}}

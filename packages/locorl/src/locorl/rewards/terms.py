@@ -1,121 +1,94 @@
-"""Reward terms of the locomotion task: Table I of the paper and the sharper set that a CPU budget needs.
+"""Reward terms, one function each, named as in Table I of the paper.
 
-Each term is a function of one `StepState` and returns (N,); weights are multiplied by the control period.
+A term maps the robots' `StepState` to (N,), unweighted: tracking terms grow with what is wanted, the others with what
+is to be avoided, and have negative weights. Where the print is loose the docstring gives our reading.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Literal
+from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 
 import torch
 from torch import Tensor
 
+from locorl.rewards.config import RewardConfig
+from locorl.rewards.state import StepState
 
-@dataclass
-class StepState:
-    """What the reward terms see of N robots after one control step. Vectors are in the base frame.
-
-    Attributes:
-        velocity: linear velocity of the base, (N, 3), m/s.
-        rate: angular velocity of the base, (N, 3), rad/s.
-        command: vx, vy (m/s) and yaw rate (rad/s), (N, 3).
-        q_error: joint positions minus the stance, (N, 12), rad.
-        joint_acceleration: (N, 12), rad/s^2, finite difference over the control period.
-        action: this action, (N, 12).
-        last_action: the one before.
-        torque: (N, 12), N m.
-        last_torque: one control step earlier.
-        landed_air_time: seconds that a foot was in the air before it touched down in this step, (N, 4).
-        landed: feet that touched down in this step, (N, 4), 0 or 1.
-        colliding_links: number of links other than feet that touch something, (N,).
-        specific_power: positive mechanical power over the weight, (N,), m/s.
-    """
-
-    velocity: Tensor
-    rate: Tensor
-    command: Tensor
-    q_error: Tensor
-    joint_acceleration: Tensor
-    action: Tensor
-    last_action: Tensor
-    torque: Tensor
-    last_torque: Tensor
-    landed_air_time: Tensor
-    landed: Tensor
-    colliding_links: Tensor
-    specific_power: Tensor
+Term = Callable[[StepState, RewardConfig], Tensor]
 
 
-@dataclass(frozen=True)
-class RewardConfig:
-    """Weights and shapes of the reward terms; a weight of 0 leaves the term out.
-
-    The defaults are ours, chosen so that a policy walks on a thousand bodies within minutes on a CPU.
-    `table_i()` gives the paper's.
-    """
-
-    linear_velocity: float = 2.0
-    angular_velocity: float = 1.0
-    collisions: float = -1.0
-    vertical_velocity: float = -1.0
-    roll_pitch_rate: float = -0.02
-    action_rate: float = -0.01
-    hip_position: float = -0.5
-    joint_acceleration: float = -2.5e-7
-    joint_position: float = -0.04
-    torque_rate: float = -1e-7
-    torque: float = -1e-5
-    air_time: float = 5.0
-    specific_power: float = 0.0
-    """Weight of positive mechanical power over body weight (m/s): cost of transport times speed. Ours."""
-    kernel: Literal["gaussian", "l1"] = "gaussian"
-    """exp(-|e|^2/s) with s below, or the paper's exp(-|e|_1)."""
-    linear_scale: float = 0.15
-    """s of the linear velocity kernel, (m/s)^2."""
-    angular_scale: float = 0.25
-    """s of the angular velocity kernel, (rad/s)^2."""
-    air_time_offset: float = 0.15
-    """Seconds in the air that earn nothing; the paper's is 0.5."""
-    air_time_cap: float = 0.4
-    """Air time beyond this earns no more, s; infinite in the paper."""
-    clip_at_zero: bool = True
-    """Whether the sum of all terms is clipped at 0; the paper does not say, Table I has no clipping."""
-
-
-def table_i() -> RewardConfig:
-    """Table I of the paper, quadruped locomotion, to the letter.
-
-    On a CPU budget this set teaches standing still: standing earns most of what walking does.
-    """
-    return RewardConfig(
-        linear_velocity=1.0,
-        angular_velocity=0.5,
-        vertical_velocity=-2.0,
-        roll_pitch_rate=-0.05,
-        kernel="l1",
-        air_time=1.0,
-        air_time_offset=0.5,
-        air_time_cap=float("inf"),
-        clip_at_zero=False,
-    )
-
-
-def _kernel(error: Tensor, scale: float, config: RewardConfig) -> Tensor:
+def _kernel(error: Iterable[Tensor], scale: float, config: RewardConfig) -> Tensor:
+    """exp(-|e|_1) or exp(-|e|^2 / scale) of an error given by its components, (N,) each."""
     if config.kernel == "l1":
-        return torch.exp(-error.abs().sum(dim=1))
-    return torch.exp(-error.square().sum(dim=1) / scale)
+        return reduce(torch.add, map(torch.abs, error)).neg_().exp_()
+    return reduce(torch.add, map(torch.square, error)).div_(-scale).exp_()
 
 
-def linear_velocity(state: StepState, config: RewardConfig) -> Tensor:
+def _square_xy(vector: Tensor) -> Tensor:
+    """x^2 + y^2 of (N, 3)."""
+    x, y, _ = vector.unbind(1)
+    return x.square() + y.square()
+
+
+# ------------------------------------------------------------------ both tasks
+
+
+def angular_velocity_tracking(state: StepState, config: RewardConfig) -> Tensor:
+    """Angular velocity tracking: exp(-|w_z - w_cmd|), or the Gaussian kernel.
+
+    In parkour too, as Table I prints it: there the commanded yaw rate follows from the heading error.
+    """
+    return _kernel((state.rate[:, 2] - state.command[:, 2],), config.angular_scale, config)
+
+
+def linear_velocity_penalty(state: StepState, _: RewardConfig) -> Tensor:
+    """Linear velocity penalty: v_z^2 in the base frame."""
+    return state.velocity[:, 2].square()
+
+
+def angular_velocity_penalty(state: StepState, _: RewardConfig) -> Tensor:
+    """Angular velocity penalty: |w_xy|^2."""
+    return _square_xy(state.rate)
+
+
+def action_rate(state: StepState, _: RewardConfig) -> Tensor:
+    """Action rate: |a_t - a_(t-1)|_2, not squared."""
+    return torch.linalg.vector_norm(state.action - state.last_action, dim=1)
+
+
+def hip_position_penalty(state: StepState, _: RewardConfig) -> Tensor:
+    """Hip position penalty: squared deviation of the 4 abduction joints from the stance."""
+    return state.q_error[:, ::3].square().sum(dim=1)
+
+
+def joint_acceleration(state: StepState, _: RewardConfig) -> Tensor:
+    """Joint acceleration: |ddq|^2, ddq by finite difference over the control period."""
+    return state.joint_acceleration.square().sum(dim=1)
+
+
+def joint_position_penalty(state: StepState, _: RewardConfig) -> Tensor:
+    """Joint position penalty: |q - q_init|^2, q_init being the body's own stance."""
+    return state.q_error.square().sum(dim=1)
+
+
+def torque_rate(state: StepState, _: RewardConfig) -> Tensor:
+    """Torque rate: |tau_t - tau_(t-1)|^2, one control period apart."""
+    return (state.torque - state.last_torque).square_().sum(dim=1)
+
+
+def torque_penalty(state: StepState, _: RewardConfig) -> Tensor:
+    """Torque penalty: |tau|^2."""
+    return state.torque.square().sum(dim=1)
+
+
+# ------------------------------------------------------------------ locomotion
+
+
+def linear_velocity_tracking(state: StepState, config: RewardConfig) -> Tensor:
     """Linear velocity tracking: exp(-|v_xy - v_cmd|_1), or the Gaussian kernel."""
-    return _kernel(state.velocity[:, :2] - state.command[:, :2], config.linear_scale, config)
-
-
-def angular_velocity(state: StepState, config: RewardConfig) -> Tensor:
-    """Angular velocity tracking: exp(-|w_z - w_cmd|), or the Gaussian kernel."""
-    return _kernel(state.rate[:, 2:] - state.command[:, 2:], config.angular_scale, config)
+    error = state.velocity[:, :2] - state.command[:, :2]
+    return _kernel(error.unbind(1), config.linear_scale, config)
 
 
 def collisions(state: StepState, _: RewardConfig) -> Tensor:
@@ -123,95 +96,81 @@ def collisions(state: StepState, _: RewardConfig) -> Tensor:
     return state.colliding_links
 
 
-def vertical_velocity(state: StepState, _: RewardConfig) -> Tensor:
-    """Linear velocity penalty: v_z^2."""
-    return state.velocity[:, 2].square()
+def feet_air_time(state: StepState, config: RewardConfig) -> Tensor:
+    """Feet air time: sum over feet of (t_air - offset), while a horizontal velocity is commanded.
+
+    Counts once, when the foot touches down: summed at every step, as printed, it would punish standing.
+    """
+    gain = state.landed_air_time.clamp(max=config.air_time_cap).sub_(config.air_time_offset).mul_(state.landed)
+    return gain.sum(dim=1).mul_(torch.linalg.vector_norm(state.command[:, :2], dim=1) > 0.1)
 
 
-def roll_pitch_rate(state: StepState, _: RewardConfig) -> Tensor:
-    """Angular velocity penalty: |w_xy|^2."""
-    return state.rate[:, :2].square().sum(dim=1)
+# --------------------------------------------------------------------- parkour
 
 
-def action_rate(state: StepState, _: RewardConfig) -> Tensor:
-    """Action rate: |a_t - a_(t-1)|_2."""
-    return (state.action - state.last_action).norm(dim=1)
+def goal_tracking(state: StepState, config: RewardConfig) -> Tensor:
+    """Goal tracking: min(<v, d_w>, v_cmd), velocity towards the next waypoint up to the commanded speed, m/s.
+
+    With `normalise_goal_velocity` it is divided by the commanded speed, or by 0.1 m/s below that.
+    """
+    speed = state.command[:, 0]
+    gain = torch.minimum(torch.linalg.vecdot(state.velocity_world, state.goal_direction), speed)
+    return gain / speed.clamp(min=0.1) if config.normalise_goal_velocity else gain
 
 
-def hip_position(state: StepState, _: RewardConfig) -> Tensor:
-    """Hip position penalty: squared deviation of the 4 abduction joints from the stance."""
-    return state.q_error[:, ::3].square().sum(dim=1)
+def clearance(state: StepState, _: RewardConfig) -> Tensor:
+    """Clearance: number of feet in contact within 5 cm of an edge.
+
+    Table I prints a minus in the equation and another in the weight; we read one penalty.
+    """
+    return state.edge_feet.sum(dim=1)
 
 
-def joint_acceleration(state: StepState, _: RewardConfig) -> Tensor:
-    """Joint acceleration: |ddq|^2."""
-    return state.joint_acceleration.square().sum(dim=1)
+def orientation(state: StepState, _: RewardConfig) -> Tensor:
+    """Orientation: |g_xy|^2, the squared sine of the tilt; all of g, as printed, would always give 1."""
+    return _square_xy(state.gravity)
 
 
-def joint_position(state: StepState, _: RewardConfig) -> Tensor:
-    """Joint position penalty: |q - q_init|^2, q_init being the body's own stance."""
-    return state.q_error.square().sum(dim=1)
+# ------------------------------------------------------------- not in Table I
 
 
-def torque_rate(state: StepState, _: RewardConfig) -> Tensor:
-    """Torque rate: |tau_t - tau_(t-1)|^2."""
-    return (state.torque - state.last_torque).square().sum(dim=1)
+def heading_tracking(state: StepState, _: RewardConfig) -> Tensor:
+    """Heading tracking of the authors' released code: exp(-|yaw error|) towards the next waypoint."""
+    return state.heading_error.abs().neg_().exp_()
 
 
-def torque(state: StepState, _: RewardConfig) -> Tensor:
-    """Torque penalty: |tau|^2."""
-    return state.torque.square().sum(dim=1)
-
-
-def air_time(state: StepState, config: RewardConfig) -> Tensor:
-    """Feet air time: sum over feet of (t_air - offset), at touch-down, while a velocity is commanded."""
-    gain = (state.landed_air_time.clamp(max=config.air_time_cap) - config.air_time_offset) * state.landed
-    return gain.sum(dim=1) * (state.command[:, :2].norm(dim=1) > 0.1)
+def stumble(state: StepState, _: RewardConfig) -> Tensor:
+    """Stumbling as in the authors' released code: 1 if on any foot |F_xy| > 4 |F_z|, as at a vertical face."""
+    sideways = torch.linalg.vector_norm(state.foot_force[..., :2], dim=2)
+    return (sideways > 4.0 * state.foot_force[..., 2].abs()).any(dim=1).to(sideways.dtype)
 
 
 def specific_power(state: StepState, _: RewardConfig) -> Tensor:
-    """Positive mechanical power over body weight, m/s (not in Table I)."""
+    """Positive mechanical power over body weight, m/s: cost of transport times speed. Ours."""
     return state.specific_power
 
 
-TERMS: Mapping[str, Callable[[StepState, RewardConfig], Tensor]] = {
+TERMS: Mapping[str, Term] = {
     term.__name__: term
     for term in (
-        linear_velocity,
-        angular_velocity,
+        linear_velocity_tracking,
+        angular_velocity_tracking,
         collisions,
-        vertical_velocity,
-        roll_pitch_rate,
+        linear_velocity_penalty,
+        angular_velocity_penalty,
         action_rate,
-        hip_position,
+        hip_position_penalty,
         joint_acceleration,
-        joint_position,
+        joint_position_penalty,
         torque_rate,
-        torque,
-        air_time,
+        torque_penalty,
+        feet_air_time,
+        goal_tracking,
+        clearance,
+        orientation,
+        heading_tracking,
+        stumble,
         specific_power,
     )
 }
 """Every term by the name of its weight in `RewardConfig`."""
-
-
-def active_terms(config: RewardConfig) -> dict[str, float]:
-    """Weights that are not zero, by term."""
-    weights = {field.name: getattr(config, field.name) for field in fields(config) if field.name in TERMS}
-    return {name: float(weight) for name, weight in weights.items() if weight != 0.0}
-
-
-def total_reward(state: StepState, config: RewardConfig, dt: float) -> tuple[Tensor, dict[str, Tensor]]:
-    """Sum of all active terms for one control step.
-
-    Args:
-        state: the N robots after the step.
-        config: weights and shapes.
-        dt: control period, s, by which every weight is multiplied.
-
-    Returns:
-        The reward (N,), and each term's weighted share, name -> (N,).
-    """
-    parts = {name: TERMS[name](state, config) * (weight * dt) for name, weight in active_terms(config).items()}
-    reward = torch.stack(tuple(parts.values())).sum(dim=0)
-    return (reward.clamp(min=0.0) if config.clip_at_zero else reward), parts
