@@ -95,11 +95,16 @@ def box_spec(design: np.ndarray, scene: mujoco.MjSpec | None = None) -> mujoco.M
         servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=KP, kv=KD)
         servo.forcelimited, servo.forcerange = True, [-TORQUE, TORQUE]
+    count, force = (
+        1 << int(bit) for bit in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_FORCE)
+    )
     for name in (*layout.foot_contact, *layout.link_contact):
         geom = name.removesuffix("_contact")
+        # feet tell the net force too, the rest only how many contacts
+        what = [count | force, 3, 1] if name in layout.foot_contact else [count, 0, 1]
         spec.add_sensor(
             name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_GEOM, objname=geom
-        ).intprm[:3] = [1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1]
+        ).intprm[:3] = what
     site = mujoco.mjtObj.mjOBJ_SITE
     spec.add_sensor(name="imu_gyro", type=mujoco.mjtSensor.mjSENS_GYRO, objtype=site, objname="imu")
     return spec

@@ -67,7 +67,10 @@ class Layout(Protocol):
 
     @property
     def foot_contact(self) -> tuple[str, ...]:
-        """Names of the 4 sensors that count the contacts of a foot, each of size 1."""
+        """Names of the 4 sensors of the feet: number of contacts, then the net force that it exerts, N.
+
+        Each has size 4, or 1 without the force; world axes.
+        """
         ...
 
     @property

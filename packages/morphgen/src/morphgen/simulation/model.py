@@ -16,6 +16,8 @@ from morphgen.skeleton import Array, Skeleton
 
 FLOOR = "floor"
 _PREFIX = "morphgen/"
+_COUNT, _FORCE = (1 << int(b) for b in (mujoco.mjtConDataField.mjCONDATA_FOUND, mujoco.mjtConDataField.mjCONDATA_FORCE))
+_NO_REDUCTION, _NET_FORCE = 0, 3
 _PARTS = ("hip", "thigh", "shank", "foot", "trunk")
 _GEOM = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -194,12 +196,11 @@ def _add_sensors(spec: mujoco.MjSpec, layout: Layout) -> None:
     for key, name in layout.imu.items():
         spec.add_sensor(name=name, type=kinds[key], objtype=mujoco.mjtObj.mjOBJ_SITE, objname="imu")
     for name, foot in zip(layout.foot_contact, layout.feet, strict=True):
-        _add_contact_count(spec, name, mujoco.mjtObj.mjOBJ_GEOM, foot_geom(foot))
+        _add_contact(spec, name, mujoco.mjtObj.mjOBJ_GEOM, foot_geom(foot), _COUNT | _FORCE, _NET_FORCE)
     for name, link in zip(layout.link_contact, layout.links, strict=True):
-        _add_contact_count(spec, name, mujoco.mjtObj.mjOBJ_BODY, link)
+        _add_contact(spec, name, mujoco.mjtObj.mjOBJ_BODY, link, _COUNT, _NO_REDUCTION)
 
 
-def _add_contact_count(spec: mujoco.MjSpec, name: str, kind: mujoco.mjtObj, target: str) -> None:
+def _add_contact(spec: mujoco.MjSpec, name: str, kind: mujoco.mjtObj, target: str, data: int, reduction: int) -> None:
     sensor = spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=kind, objname=target)
-    data_bits, no_reduction, slots = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND), 0, 1
-    sensor.intprm[:3] = [data_bits, no_reduction, slots]
+    sensor.intprm[:3] = [data, reduction, 1]
