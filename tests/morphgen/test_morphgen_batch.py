@@ -97,7 +97,8 @@ def test_layout_names_the_compiled_model(factory):
     assert layout.joints[:4] == ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint", "FR_hip_joint")
     for name in (*layout.foot_contact, *layout.link_contact):
         sensor = model.sensor(name)
-        assert (sensor.type[0], sensor.dim[0]) == (mujoco.mjtSensor.mjSENS_CONTACT, 1)
+        size = 4 if name in layout.foot_contact else 1
+        assert (sensor.type[0], sensor.dim[0]) == (mujoco.mjtSensor.mjSENS_CONTACT, size)
     assert [model.sensor(name).dim[0] for name in layout.imu.values()] == [3, 3, 4]
     for name, leg in zip(layout.links, layout.link_leg, strict=True):
         model.body(name)
@@ -122,6 +123,16 @@ def test_contact_sensors_tell_feet_from_links(factory):
     assert touched["base"]
     assert touched["FL_hip"]
     assert touched["RR_calf"]
+
+
+def test_the_feet_of_a_standing_robot_press_down_with_its_weight(factory):
+    batch = factory.batch(np.ones(4))
+    data = mujoco.MjData(batch.model)
+    data.qpos[:], data.ctrl[:] = batch.stance_qpos[0], batch.stance_ctrl[0]
+    mujoco.mj_step(batch.model, data, nstep=1000)
+    force = np.array([data.sensor(name).data[1:] for name in factory.layout.foot_contact])
+    np.testing.assert_allclose(force.sum(axis=0), (0.0, 0.0, -9.81 * batch.total_mass[0]), atol=0.05)
+    assert (force[:, 2] < -20.0).all()
 
 
 def test_robot_does_not_collide_with_itself(factory):

@@ -67,7 +67,7 @@ class Layout(Protocol):
 
     @property
     def foot_contact(self) -> tuple[str, ...]:
-        """Names of the 4 sensors of the feet: number of contacts, then the net force that it exerts, N.
+        """Names of the 4 sensors of the feet: number of contacts, then the net force that the foot exerts, N.
 
         Each has size 4, or 1 without the force; world axes.
         """
