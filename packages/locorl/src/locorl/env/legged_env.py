@@ -13,7 +13,8 @@ from torch import Tensor
 from locorl.env.kinematics import projected_gravity, to_base_frame, yaw_quat
 from locorl.env.observation import locomotion_layout
 from locorl.interfaces import Array, BodyBatch, BodyFactory
-from locorl.rewards.terms import StepState, total_reward
+from locorl.rewards.state import StepState
+from locorl.rewards.total import total_reward
 from locorl.simulation.cpu import CpuSimulator
 from locorl.simulation.scene import flat_scene
 from locorl.tasks.task import RandomisationConfig, TaskConfig
@@ -123,6 +124,7 @@ class LeggedEnv:
         self._last_torque = torch.zeros(n, 12)
         self._air_time = torch.zeros(n, 4)
         self._last_contact = torch.zeros(n, 4, dtype=torch.bool)
+        self._nowhere, self._no_force = torch.zeros(n, 3), torch.zeros(n, 4, 3)
         self._place(torch.arange(n), replace(task.randomisation, reset_joint=0.0, reset_velocity=0.0))
         self._implicit = self._describe_bodies(designs, friction, damping)
 
@@ -270,6 +272,12 @@ class LeggedEnv:
             landed=landed.float(),
             colliding_links=(sensors[:, self._links] > 0).sum(dim=1).float(),
             specific_power=power / self.weight,
+            velocity_world=self._nowhere,
+            goal_direction=self._nowhere,
+            heading_error=self._nowhere[:, 0],
+            gravity=now.gravity,
+            edge_feet=self._no_force[..., 0],
+            foot_force=self._no_force,
         )
         result = total_reward(state, self.task.reward, self.dt)
         self._air_time = torch.where(contact, torch.zeros_like(self._air_time), self._air_time)

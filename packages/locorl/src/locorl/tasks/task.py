@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from locorl.rewards.terms import RewardConfig
+from locorl.rewards.config import RewardConfig
 from locorl.simulation.scene import PhysicsConfig
 
 
