@@ -12,7 +12,7 @@ import distill
 import mujoco
 import numpy as np
 from locorl import EvalConfig, LeggedEnv, Policy, evaluate, flat_scene
-from locorl.env.observation import locomotion_layout
+from locorl.env.observation import observation_layout
 from locorl.interfaces import Array
 from locorl.tasks.task import TaskConfig
 from morphgen import BodyFactory
@@ -109,7 +109,7 @@ def bundle_spec(
 
 
 def _observation(teacher: Policy) -> tuple[distill.ObservationTerm, ...]:
-    layout = locomotion_layout(len(teacher.card.design_names))
+    layout = observation_layout(teacher.card.task.observation, len(teacher.card.design_names))
     return tuple(
         distill.ObservationTerm(term.name, term.name, term.scale, term.frame, term.unit)  # pyright: ignore[reportArgumentType]
         for term in layout.proprio

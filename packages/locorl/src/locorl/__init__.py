@@ -1,7 +1,9 @@
 """locorl: simulate thousands of different legged bodies at once and train one policy for all of them."""
 
 from locorl.bodies.designs import design_grid, feasible, repeat_design, sample_designs
+from locorl.env.commands import CommandConfig
 from locorl.env.legged_env import LeggedEnv, StepInfo
+from locorl.env.randomisation import RandomisationConfig, no_randomisation
 from locorl.learning.checkpoint import CheckpointError
 from locorl.learning.evaluate import EvalConfig, Evaluation, evaluate
 from locorl.learning.finetune import FinetuneConfig, Finetuned, finetune
@@ -11,7 +13,7 @@ from locorl.learning.ppo import PPO, DivergedError, PPOConfig
 from locorl.learning.train import TrainConfig, Trainer
 from locorl.rewards.config import RewardConfig, released_code, table_i
 from locorl.simulation.scene import PhysicsConfig, flat_scene
-from locorl.tasks.task import CommandConfig, RandomisationConfig, TaskConfig, no_randomisation
+from locorl.tasks.task import TaskConfig
 
 __all__ = [
     "PPO",

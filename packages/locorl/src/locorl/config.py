@@ -31,12 +31,12 @@ def from_dict(cls: type[T], data: Mapping[str, Any]) -> T:
 
 
 def _restore(hint: Any, value: Any) -> Any:
-    if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
-        return from_dict(hint, value)  # pyright: ignore[reportArgumentType]
     if value is None:
         return None
     if get_origin(hint) is UnionType:  # `X | None`, of which it is X
         hint = next(arg for arg in get_args(hint) if arg is not NoneType)
+    if dataclasses.is_dataclass(hint) and isinstance(value, Mapping):
+        return from_dict(hint, value)  # pyright: ignore[reportArgumentType]
     if get_origin(hint) is tuple and isinstance(value, Sequence):
         args = get_args(hint)
         kinds = args[:1] * len(value) if len(args) == 2 and args[1] is Ellipsis else args

@@ -32,3 +32,20 @@ def yaw_quat(yaw: Tensor) -> Tensor:
     """Quaternions of rotations by `yaw` (N,) about the vertical, (N, 4)."""
     zero = torch.zeros_like(yaw)
     return torch.stack((torch.cos(yaw / 2), zero, zero, torch.sin(yaw / 2)), dim=1)
+
+
+def yaw_of(quat: Tensor) -> Tensor:
+    """Heading of the base's x axis, (N,), rad."""
+    w, x, y, z = quat.unbind(dim=1)
+    return torch.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def roll_pitch(gravity: Tensor) -> Tensor:
+    """Roll and pitch of the base from projected gravity (N, 3), (N, 2), rad."""
+    x, y, z = gravity.unbind(dim=1)
+    return torch.stack((torch.atan2(-y, -z), torch.asin(x.clamp(-1.0, 1.0))), dim=1)
+
+
+def wrap(angle: Tensor) -> Tensor:
+    """The same angle in (-pi, pi], rad."""
+    return torch.atan2(torch.sin(angle), torch.cos(angle))

@@ -1,23 +1,35 @@
-"""LeggedEnv: thousands of different bodies tracking velocity commands, batched in torch."""
+"""LeggedEnv: thousands of different bodies on one task, batched in torch."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from locorl.env.kinematics import projected_gravity, to_base_frame, yaw_quat
-from locorl.env.observation import locomotion_layout
+from locorl.env.commands import VelocityCommands
+from locorl.env.contacts import Contacts
+from locorl.env.depth_stream import DepthStream
+from locorl.env.embodiment import Embodiment, make_bodies
+from locorl.env.failures import FailureLog
+from locorl.env.goals import Waypoints
+from locorl.env.kinematics import wrap, yaw_of
+from locorl.env.observation import observation_layout
+from locorl.env.observer import Observer, Snapshot
+from locorl.env.randomisation import ActionDelay, Perturbation, draw_perturbation
+from locorl.env.reset import start_state
+from locorl.env.state import Motion, Stateful, read_motion
 from locorl.interfaces import Array, BodyBatch, BodyFactory
 from locorl.rewards.state import StepState
-from locorl.rewards.total import total_reward
-from locorl.simulation.cpu import CpuSimulator
+from locorl.rewards.total import active_terms, total_reward
+from locorl.simulation.make import SimulatorConfig, make_simulator
 from locorl.simulation.scene import flat_scene
-from locorl.tasks.task import RandomisationConfig, TaskConfig
+from locorl.tasks.task import TaskConfig
+from locorl.terrain.curriculum import Curriculum
+from locorl.terrain.map import TerrainMap
 
 Obs = dict[str, Tensor]
 
@@ -26,14 +38,15 @@ class StepInfo(NamedTuple):
     """What a step tells besides observation, reward and ends.
 
     Attributes:
-        truncated_ids: robots whose episode was cut by time in this step, (m,).
+        truncated_ids: robots whose episode was cut by time in this step, or that finished their course, (m,).
         final_obs: their last observation of that episode, group -> (m, dim); the bootstrap needs it.
         reward_terms: mean over robots of each weighted reward term, name -> ().
-        tracking_error: |v_x - command|, (N,), m/s.
+        tracking_error: |v - command| along the commanded way, (N,), m/s: forward, or towards the next waypoint.
         positive_work: positive joint work in this step, (N,), J.
         diverged: robots whose simulation failed in this step, (N,) bool.
         velocity: base velocity after the step, before any reset, base frame, (N, 3), m/s.
         position: base position likewise, world frame, (N, 3), m.
+        success: robots that reached their last waypoint in this step, (N,) bool.
     """
 
     truncated_ids: Tensor
@@ -44,31 +57,23 @@ class StepInfo(NamedTuple):
     diverged: Tensor
     velocity: Tensor
     position: Tensor
-
-
-class _Kinematics(NamedTuple):
-    velocity: Tensor
-    rate: Tensor
-    gravity: Tensor
-    q: Tensor
-    qd: Tensor
+    success: Tensor
 
 
 class LeggedEnv:
-    """N robots, each with a body of its own, on flat ground.
+    """N robots, each with a body of its own, on one shared terrain.
 
     `step` resets finished robots by itself: the observation that it returns belongs to the new episode
     wherever `terminated | truncated`, and `StepInfo.final_obs` keeps the last one of a truncated episode.
-
-    Observation groups (see `layout` for terms, units, frames and scales):
-        proprio (N, 45), explicit (N, 3), implicit (N, d + 7).
+    See `layout` for the terms, units, frames and scales of the observation groups.
 
     Args:
         factory: makes the bodies.
         designs: one design per robot, (N, d).
-        task: commands, reward, ends, randomisation, physics.
+        task: terrain, commands, observations, reward, ends, randomisation, physics.
         seed: of everything random in the environment.
-        threads: simulation threads; None takes every core.
+        threads: simulation threads on a CPU; None takes every core.
+        simulator: which simulator; by default MuJoCo on the CPU.
 
     Raises:
         ValueError: a design has no stance, or the shapes do not fit the design space.
@@ -83,62 +88,116 @@ class LeggedEnv:
         task: TaskConfig,
         seed: int = 0,
         threads: int | None = None,
+        simulator: SimulatorConfig | None = None,
     ) -> None:
-        designs = np.asarray(designs, dtype=np.float64)
-        if designs.ndim != 2 or designs.shape[1] != len(factory.space.names):
-            raise ValueError(f"designs must be (n, {len(factory.space.names)}), got {designs.shape}")
-        self.task = task
-        self.factory = factory
+        self.task, self.factory = task, factory
+        simulator = simulator or SimulatorConfig(threads=threads)
+        self.device = torch.device(simulator.device)
         self.num_envs = len(designs)
-        self.device = torch.device("cpu")
         self.dt = task.physics.control_dt
-        self.bodies: BodyBatch = factory.batch(designs, flat_scene(task.physics))
-        if not self.bodies.feasible.all():
-            bad = int(np.flatnonzero(~self.bodies.feasible)[0])
-            raise ValueError(f"robot {bad} with design {designs[bad]} has no stance; sample feasible designs")
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = torch.Generator(self.device).manual_seed(seed)
+        self.terrain = TerrainMap(task.terrain, self.device)
+        self._scene = flat_scene(task.physics)
+        self.terrain.add_to(self._scene)
+        level = not self.terrain.boxes and self.terrain.field is None
+        self._ground = None if level else self.terrain.heights
 
-        friction = self._uniform(task.randomisation.friction)
-        damping = self._uniform(task.randomisation.joint_damping)
-        self.sim = CpuSimulator(
-            self.bodies, task.physics.substeps, _contact_fields(self.bodies, friction, damping), threads
-        )
-        layout = factory.layout
-        self._feet = [self.sim.sensor_slice(name).start for name in layout.foot_contact]
-        self._links = [self.sim.sensor_slice(name).start for name in layout.link_contact]
-
-        f32 = torch.float32
-        self.stance_qpos = torch.from_numpy(np.ascontiguousarray(self.bodies.stance_qpos))
-        self.stance_q = self.stance_qpos[:, 7:].to(f32)
-        self.stance_ctrl = torch.from_numpy(np.ascontiguousarray(self.bodies.stance_ctrl)).to(f32)
-        self.weight = torch.from_numpy(np.asarray(self.bodies.total_mass)).to(f32) * 9.81
-        self.layout = locomotion_layout(designs.shape[1])
+        n, device = self.num_envs, self.device
+        bodies = make_bodies(factory, designs, self._scene)
+        drawn = draw_perturbation(task.randomisation, n, self.generator)
+        self.body = Embodiment.of(bodies, drawn)
+        self.sim = make_simulator(simulator, bodies, task.physics.substeps, factory.layout.feet, self.body.fields())
+        self.layout = observation_layout(task.observation, bodies.designs.shape[1])
         self.group_dims: Mapping[str, int] = self.layout.dims
+        self.failures = FailureLog(bodies.designs, device)
 
-        n = self.num_envs
-        self.command = torch.zeros(n, 3)
-        self.action = torch.zeros(n, self.num_actions)
-        self.episode_step = torch.zeros(n, dtype=torch.long)
-        self.command_step = torch.zeros(n, dtype=torch.long)
-        self._last_qd = torch.zeros(n, 12)
-        self._last_torque = torch.zeros(n, 12)
-        self._air_time = torch.zeros(n, 4)
-        self._last_contact = torch.zeros(n, 4, dtype=torch.bool)
-        self._nowhere, self._no_force = torch.zeros(n, 3), torch.zeros(n, 4, 3)
-        self._place(torch.arange(n), replace(task.randomisation, reset_joint=0.0, reset_velocity=0.0))
-        self._implicit = self._describe_bodies(designs, friction, damping)
+        self.contacts = Contacts(self.sim, factory.layout, self.dt)
+        self.commands = VelocityCommands(task.command, self.dt, n, self.generator)
+        count = self.terrain.waypoints.shape[2]
+        self.goals = None if task.goals is None else Waypoints(task.goals, count, self.dt, n, device)
+        ground, noise = self.terrain.heights, task.randomisation.observation_noise
+        self.observer = Observer(task.observation, self.layout, ground, noise, self.dt, n, self.generator)
+        self.eyes = None if task.camera is None else DepthStream(task.camera, ground, n, self.dt, self.generator)
+        delay = task.randomisation.action_delay
+        self._delay = None if delay[1] == 0 else ActionDelay(delay, n, self.num_actions, self.generator)
+
+        self.action, self._last_torque, self._last_qd = (torch.zeros(n, 12, device=device) for _ in range(3))
+        self.episode_step = torch.zeros(n, dtype=torch.long, device=device)
+        self._way, self._asked, self._error = (torch.zeros(n, device=device) for _ in range(3))
+        self._steps = torch.zeros((), dtype=torch.long)
+        self._weights = active_terms(task.reward)
+        self._nothing = torch.zeros(1, 1, device=device)
+        self._obs: Obs = {}
+        # a stream of its own: on level ground there is nothing to draw
+        self._tile_generator = torch.Generator(device).manual_seed(seed)
+        self.curriculum = Curriculum(task.curriculum, self.terrain, n, self._tile_generator, self.body.stance_height)
+        self._stand()
 
     # ------------------------------------------------------------------ public
+
+    @property
+    def bodies(self) -> BodyBatch:
+        """The robots' bodies."""
+        return self.body.bodies
+
+    @property
+    def stance_qpos(self) -> Tensor:
+        """Standing at the origin of level ground, (N, 19)."""
+        return self.body.stance_qpos
+
+    @property
+    def stance_ctrl(self) -> Tensor:
+        """Targets that hold the stance, (N, 12), rad."""
+        return self.body.stance_ctrl
+
+    @property
+    def stance_q(self) -> Tensor:
+        """Joint angles of the stance, (N, 12), rad."""
+        return self.body.stance_q
+
+    @property
+    def weight(self) -> Tensor:
+        """Of each robot, payload included, (N,), N."""
+        return self.body.weight
+
+    @property
+    def command(self) -> Tensor:
+        """Commanded vx, vy (m/s) and yaw rate (rad/s) in the base frame, (N, 3), live."""
+        return self.commands.command
+
+    @property
+    def goal(self) -> Tensor:
+        """Next waypoint of each robot, world, (N, 3), m; its own place on a task without waypoints."""
+        return self.sim.qpos[:, :3].float() if self.goals is None else self.goals.ahead()
+
+    @property
+    def depth(self) -> Tensor:
+        """What the depth cameras show now, (N, rows, columns).
+
+        Raises:
+            ValueError: the task has no camera.
+        """
+        if self.eyes is None:
+            raise ValueError(f"the robots of task '{self.task.name}' have no camera; set TaskConfig.camera")
+        return self.eyes.frame
+
+    @property
+    def score(self) -> Tensor:
+        """Mean tracking error of each robot since its body last changed, (N,), m/s."""
+        return self._error / max(1, int(self._steps))
 
     def reset(self, seed: int | None = None) -> Obs:
         """Start every robot afresh; with `seed`, the random stream too. Returns the observation."""
         if seed is not None:
             self.generator.manual_seed(seed)
-        everyone = torch.arange(self.num_envs)
+        everyone = torch.arange(self.num_envs, device=self.device)
         self._reset(everyone)
         if self.task.randomisation.stagger:
-            self.episode_step = torch.randint(0, self.task.episode_steps, (self.num_envs,), generator=self.generator)
-        return self._observe()
+            self.episode_step[:] = torch.randint(
+                0, self.task.episode_steps, (self.num_envs,), generator=self.generator, device=self.device
+            )
+        self._obs = self.observer.restart(self._snapshot(read_motion(self.sim)), everyone)
+        return self._obs
 
     def step(self, action: Tensor) -> tuple[Obs, Tensor, Tensor, Tensor, StepInfo]:
         """Advance one control period.
@@ -152,145 +211,221 @@ class LeggedEnv:
         task = self.task
         last_action = self.action
         self.action = action.clamp(-task.action_clip, task.action_clip)
-        self.sim.ctrl[:] = self.stance_ctrl + task.action_scale * self.action
+        arriving = self.action if self._delay is None else self._delay.apply(self.action)
+        self.sim.ctrl[:] = self.body.stance_ctrl + task.action_scale * arriving
         self.sim.step()
         self.episode_step += 1
 
-        now = self._read()
-        power = self.sim.positive_work.float() / self.dt
-        reward, terms = self._reward(now, last_action, power)
-        terminated = self._fallen(now) | self.sim.diverged
-        reward = torch.where(self.sim.diverged, torch.zeros_like(reward), reward)
-        truncated = ~terminated & (self.episode_step >= task.episode_steps)
-        info_velocity, info_position = now.velocity, self.sim.qpos[:, :3].float()
-        tracking_error = (now.velocity[:, 0] - self.command[:, 0]).abs()
+        now = read_motion(self.sim)
+        self.contacts.update()
+        way, direction = self._progress(now)
+        reward, terms = total_reward(self._step_state(now, last_action, direction), task.reward, self.dt)
+        self._last_qd, self._last_torque = now.qd, self.sim.torque.float()
+        success = self._advance_goals(now)
+        diverged = self.sim.diverged.clone()
+        terminated = self._fallen(now) | diverged
+        reward = torch.where(diverged, torch.zeros_like(reward), reward)
+        truncated = ~terminated & ((self.episode_step >= task.episode_steps) | success)
+        error = (way - self.command[:, 0]).abs()
+        self._error += torch.where(diverged, torch.zeros_like(error), error)
+        self._steps += 1
+        self.failures.add(diverged)
 
         self._push()
-        self._renew_commands()
+        self.commands.renew()
         # a push changes what the robot feels, and a resumed run must see the same
-        obs = self._observe(now if task.randomisation.push <= 0.0 else None)
+        seen = self._snapshot(now if task.randomisation.push <= 0.0 else read_motion(self.sim))
+        self._steer(seen.motion)
+        self.observer.advance(seen)
+        obs = self.observer.observe(seen)
         truncated_ids = truncated.nonzero().flatten()
         final_obs = {group: values[truncated_ids] for group, values in obs.items()}
         done = (terminated | truncated).nonzero().flatten()
         if len(done):
+            asked = self._asked + self.command[:, :2].norm(dim=1) * self.dt * (task.episode_steps - self.episode_step)
+            self.curriculum.update(done, self._way[done], asked[done], success[done])
             self._reset(done)
-            for group, values in self._observe(rows=done).items():
+            first = self.observer.restart(self._snapshot(read_motion(self.sim, done), done), done)
+            for group, values in first.items():
                 obs[group][done] = values
+        if self.eyes is not None:
+            self.eyes.step(self.sim.qpos[:, :3].float(), self.sim.qpos[:, 3:7].float())
+        self._obs = obs
         info = StepInfo(
             truncated_ids=truncated_ids,
             final_obs=final_obs,
             reward_terms={name: value.mean() for name, value in terms.items()},
-            tracking_error=tracking_error,
+            tracking_error=error,
             positive_work=self.sim.positive_work.float(),
-            diverged=self.sim.diverged.clone(),
-            velocity=info_velocity,
-            position=info_position,
+            diverged=diverged,
+            velocity=now.velocity,
+            position=now.position,
+            success=success,
         )
         return obs, reward, terminated, truncated, info
 
+    def observe(self) -> Obs:
+        """The observation of the present state, whatever was written into it."""
+        self._obs = self.observer.observe(self._snapshot(read_motion(self.sim)))
+        return self._obs
+
+    def set_designs(self, designs: Array) -> Obs:
+        """Put other bodies (N, d) in place, without building anything anew, and start every robot afresh.
+
+        Friction, payload and motors are drawn anew. Returns the observation.
+
+        Raises:
+            ValueError: a design has no stance, or `designs` has another shape.
+        """
+        if len(designs) != self.num_envs:
+            raise ValueError(f"{len(designs)} designs for {self.num_envs} robots")
+        bodies = make_bodies(self.factory, designs, self._scene)
+        self._embody(bodies, draw_perturbation(self.task.randomisation, self.num_envs, self.generator))
+        self._error.zero_()
+        self._steps.zero_()
+        return self.reset()
+
     def state_dict(self) -> dict[str, Tensor]:
-        """Everything that the next step depends on, random stream included."""
-        own = {name: getattr(self, name).clone() for name in _STATE}
-        sim = {f"sim.{name}": value for name, value in self.sim.state_dict().items()}
-        return {**own, **sim, "generator": self.generator.get_state()}
+        """Everything that the next step depends on: bodies, their perturbation and the random stream included."""
+        state = {name: getattr(self, name).clone() for name in _STATE}
+        parts = {name: part.state_dict() for name, part in self._parts().items()}
+        parts |= {"sim": self.sim.state_dict(), "drawn": vars(self.body.drawn), "obs": self._obs}
+        state |= {f"{part}.{name}": value.clone() for part, own in parts.items() for name, value in own.items()}
+        state["designs"] = torch.from_numpy(np.array(self.bodies.designs))
+        streams = {"generator": self.generator, "tile_generator": self._tile_generator}
+        return {**state, **{name: stream.get_state() for name, stream in streams.items()}}
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> Obs:
-        """Go back to a saved state and return its observation."""
-        self.sim.load_state_dict({k.removeprefix("sim."): v for k, v in state.items() if k.startswith("sim.")})
+        """Go back to a saved state, and to the bodies that it had, and return its observation.
+
+        Raises:
+            ValueError: it was saved with another number of robots or another task.
+        """
+        drawn, designs = Perturbation(**_part(state, "drawn")), state["designs"].numpy()
+        same = all(torch.equal(value, getattr(self.body.drawn, name)) for name, value in vars(drawn).items())
+        if not same or not np.array_equal(designs, self.bodies.designs):
+            self._embody(make_bodies(self.factory, designs, self._scene), drawn)
+        self.sim.load_state_dict(_part(state, "sim"))
+        for name, part in self._parts().items():
+            part.load_state_dict(_part(state, name))
         for name in _STATE:
             setattr(self, name, state[name].clone())
         self.generator.set_state(state["generator"])
-        return self._observe()
+        self._tile_generator.set_state(state["tile_generator"])
+        self._obs = _part(state, "obs")
+        return _part(state, "obs")
 
     # ----------------------------------------------------------------- details
 
-    def _uniform(self, bounds: tuple[float, float], count: int | None = None) -> Tensor:
-        low, high = bounds
-        return low + (high - low) * torch.rand(count or self.num_envs, generator=self.generator)
-
-    def _describe_bodies(self, designs: Array, friction: Tensor, damping: Tensor) -> Tensor:
-        space = self.factory.space
-        half_range = np.maximum((np.asarray(space.high) - np.asarray(space.low)) / 2, 1e-9)
-        nominal_mass = float(self.bodies.model.body_mass.sum())
-        scale = {term.name: term.scale for term in self.layout.implicit}
-        blocks = (
-            torch.from_numpy((designs - np.asarray(space.nominal)) / half_range),
-            scale["mass_ratio"] * torch.from_numpy(np.asarray(self.bodies.total_mass) / nominal_mass - 1.0)[:, None],
-            scale["centre_of_mass"] * self.sim.centre_of_mass(),
-            scale["stance_height"] * self.stance_qpos[:, 2:3],
-            friction[:, None],
-            damping[:, None],
-        )
-        return torch.cat([block.float() for block in blocks], dim=1)
-
-    def _read(self, rows: Tensor | slice = slice(None)) -> _Kinematics:
-        qpos, qvel = self.sim.qpos[rows].float(), self.sim.qvel[rows].float()
-        quat = qpos[:, 3:7]
-        return _Kinematics(
-            velocity=to_base_frame(quat, qvel[:, :3]),
-            rate=qvel[:, 3:6],
-            gravity=projected_gravity(quat),
-            q=qpos[:, 7:],
-            qd=qvel[:, 6:],
-        )
-
-    def _observe(self, now: _Kinematics | None = None, rows: Tensor | slice = slice(None)) -> Obs:
-        now = now or self._read(rows)
-        quantity = {
-            "base_angular_velocity": now.rate,
-            "projected_gravity": now.gravity,
-            "command": self.command[rows],
-            "joint_position_error": now.q - self.stance_q[rows],
-            "joint_velocity": now.qd,
-            "last_action": self.action[rows],
+    def _parts(self) -> dict[str, Stateful]:
+        parts = {
+            "commands": self.commands,
+            "contacts": self.contacts,
+            "observer": self.observer,
+            "curriculum": self.curriculum,
+            "goals": self.goals,
+            "eyes": self.eyes,
+            "delay": self._delay,
         }
-        terms = [quantity[t.name] if t.scale == 1.0 else quantity[t.name] * t.scale for t in self.layout.proprio]
-        return {
-            "proprio": torch.cat(terms, dim=1),
-            "explicit": now.velocity.clone(),
-            "implicit": self._implicit[rows],
-        }
+        return {name: part for name, part in parts.items() if part is not None}
 
-    def _reward(self, now: _Kinematics, last_action: Tensor, power: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
-        sensors = self.sim.sensors
-        touching = sensors[:, self._feet] > 0
-        contact = touching | self._last_contact
-        self._air_time += self.dt
-        landed = contact & (self._air_time > self.dt * 1.5)
-        torque = self.sim.torque.float()
-        state = StepState(
+    def _embody(self, bodies: BodyBatch, drawn: Perturbation) -> None:
+        """Give the robots other bodies, in the simulator too."""
+        self.body = Embodiment.of(bodies, drawn)
+        self.failures.change_bodies(bodies.designs)
+        self.curriculum.set_hip_heights(self.body.stance_height)
+        self.sim.set_fields({**bodies.fields, **self.body.fields()})
+        self._stand()
+
+    def _stand(self) -> None:
+        """Put every robot in its stance at the world's origin, and describe it there to the observer."""
+        everyone = torch.arange(self.num_envs, device=self.device)
+        stance = self.body.stance_qpos
+        self.sim.set_state(everyone, stance, torch.zeros(len(stance), 18, dtype=stance.dtype, device=self.device))
+        self.observer.implicit = self.body.describe(self.layout, self.factory.space, self.sim.centre_of_mass())
+
+    def _snapshot(self, motion: Motion, rows: Tensor | slice = slice(None)) -> Snapshot:
+        return Snapshot(
+            motion=motion,
+            stance_q=self.body.stance_q[rows],
+            stance_height=self.body.stance_height[rows],
+            command=self.command[rows],
+            action=self.action[rows],
+            touching=self.contacts.touching[rows],
+            heading_errors=lambda: self._heading_errors(motion, rows),
+        )
+
+    def _heading_errors(self, motion: Motion, rows: Tensor | slice = slice(None)) -> Tensor:
+        yaw = yaw_of(motion.quat)
+        if self.goals is None:
+            error = wrap(self.commands.heading[rows] - yaw)
+            return torch.stack((error, error), dim=1)
+        errors = [self.goals.heading_error(motion.position, yaw, steps, rows) for steps in (0, 1)]
+        return torch.stack(errors, dim=1)
+
+    def _progress(self, now: Motion) -> tuple[Tensor, Tensor]:
+        """Speed along the commanded way, (N,), m/s, and the direction to the next waypoint, (N, 3), world."""
+        if self.goals is None:
+            asked = self.command[:, :2]
+            along = (now.velocity[:, :2] * asked).sum(dim=1) / asked.norm(dim=1).clamp(min=1e-6)
+            speed, direction = now.velocity[:, 0], self._nothing
+        else:
+            direction = self.goals.direction(now.position)
+            speed = along = (now.velocity_world * direction).sum(dim=1)
+        self._way += along * self.dt
+        self._asked += self.command[:, :2].norm(dim=1) * self.dt
+        return speed, direction
+
+    def _step_state(self, now: Motion, last_action: Tensor, direction: Tensor) -> StepState:
+        # what only some rewards look at
+        edges = forces = heading = self._nothing
+        if "clearance" in self._weights:
+            near = self.terrain.heights.near_edge(self.sim.foot_position[..., :2].float())
+            edges = (self.contacts.touching & near).float()
+        if "stumble" in self._weights:
+            forces = self.contacts.foot_forces()
+        if "heading_tracking" in self._weights:
+            heading = self._heading_errors(now)[:, 0]
+        return StepState(
             velocity=now.velocity,
             rate=now.rate,
             command=self.command,
-            q_error=now.q - self.stance_q,
+            q_error=now.q - self.body.stance_q,
             joint_acceleration=(now.qd - self._last_qd) / self.dt,
             action=self.action,
             last_action=last_action,
-            torque=torque,
+            torque=self.sim.torque.float(),
             last_torque=self._last_torque,
-            landed_air_time=self._air_time,
-            landed=landed.float(),
-            colliding_links=(sensors[:, self._links] > 0).sum(dim=1).float(),
-            specific_power=power / self.weight,
-            velocity_world=self._nowhere,
-            goal_direction=self._nowhere,
-            heading_error=self._nowhere[:, 0],
+            landed_air_time=self.contacts.air_time,
+            landed=self.contacts.landed.float(),
+            colliding_links=self.contacts.colliding_links(),
+            specific_power=self.sim.positive_work.float() / self.dt / self.weight,
+            velocity_world=now.velocity_world,
+            goal_direction=direction,
+            heading_error=heading,
             gravity=now.gravity,
-            edge_feet=self._no_force[..., 0],
-            foot_force=self._no_force,
+            edge_feet=edges,
+            foot_force=forces,
         )
-        result = total_reward(state, self.task.reward, self.dt)
-        self._air_time = torch.where(contact, torch.zeros_like(self._air_time), self._air_time)
-        self._last_contact, self._last_qd, self._last_torque = touching, now.qd, torque
-        return result
 
-    def _fallen(self, now: _Kinematics) -> Tensor:
-        tilted = -now.gravity[:, 2] < float(np.cos(self.task.max_tilt))
-        sunk = self.sim.qpos[:, 2] < self.task.min_height * self.stance_qpos[:, 2]
-        fallen = tilted | sunk | ~now.gravity[:, 2].isfinite()
-        if self.task.end_on_base_contact:
+    def _advance_goals(self, now: Motion) -> Tensor:
+        if self.goals is None:
+            return torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
+        self.goals.advance(now.position)
+        return self.goals.finished()
+
+    def _fallen(self, now: Motion) -> Tensor:
+        task = self.task
+        fallen = (-now.gravity[:, 2] < math.cos(task.max_tilt)) | ~now.gravity[:, 2].isfinite()
+        height = self.sim.qpos[:, 2]
+        if task.min_height > 0.0:
+            above = height if self._ground is None else height - self._ground.at(now.position[:, :2])
+            fallen |= above < task.min_height * self.body.stance_qpos[:, 2]
+        if task.min_altitude > -math.inf:
+            fallen |= height < task.min_altitude
+        if task.end_on_base_contact:
             # the sensors show the start of the last physics step, before any reset
-            fallen |= (self.sim.sensors[:, self._links[0]] > 0) & (self.episode_step > 1)
+            fallen |= self.contacts.base_touches() & (self.episode_step > 1)
         return fallen
 
     def _push(self) -> None:
@@ -299,67 +434,33 @@ class LeggedEnv:
             return
         ids = (self.episode_step % round(random.push_interval / self.dt) == 0).nonzero().flatten()
         if len(ids):
-            kick = (torch.rand(len(ids), 2, generator=self.generator) * 2 - 1) * random.push
-            self.sim.qvel[ids, :2] += kick.to(self.sim.qvel.dtype)
+            kick = torch.rand(len(ids), 2, generator=self.generator, device=self.device) * 2 - 1
+            self.sim.qvel[ids, :2] += (kick * random.push).to(self.sim.qvel.dtype)
 
-    def _renew_commands(self) -> None:
-        self.command_step += 1
-        ids = (self.command_step >= round(self.task.command.hold / self.dt)).nonzero().flatten()
-        if len(ids):
-            self._draw_commands(ids)
-
-    def _draw_commands(self, ids: Tensor) -> None:
-        config = self.task.command
-        bounds = torch.tensor((config.vx, config.vy, config.yaw_rate))
-        draw = torch.rand(len(ids), 4, generator=self.generator)
-        command = bounds[:, 0] + (bounds[:, 1] - bounds[:, 0]) * draw[:, :3]
-        self.command[ids] = command * (draw[:, 3:] >= config.standing)
-        self.command_step[ids] = 0
+    def _steer(self, motion: Motion) -> None:
+        if self.goals is not None or self.task.command.heading:
+            self.commands.steer(self._heading_errors(motion)[:, 0])
 
     def _reset(self, ids: Tensor) -> None:
-        self._place(ids, self.task.randomisation)
-        self.action[ids] = 0.0
-        self.episode_step[ids] = 0
-        self._last_torque[ids] = 0.0
-        self._air_time[ids] = 0.0
-        self._last_contact[ids] = False
-        self._draw_commands(ids)
-
-    def _place(self, ids: Tensor, random: RandomisationConfig) -> None:
-        qpos = self.stance_qpos[ids].clone()
-        qvel = torch.zeros(len(ids), 18, dtype=qpos.dtype)
-        if random.reset_joint > 0.0 or random.reset_velocity > 0.0:
-            draw = torch.rand(len(ids), 19, generator=self.generator).to(qpos.dtype) * 2 - 1
-            qpos[:, 7:] += random.reset_joint * draw[:, :12]
-            qpos[:, 3:7] = yaw_quat(torch.pi * draw[:, 12])
-            qvel[:, :6] = random.reset_velocity * draw[:, 13:]
-            # a deviating leg may reach lower than the stance
-            qpos[:, 2] += 0.3 * random.reset_joint * self.stance_qpos[ids, 2]
+        origin, stance = self.curriculum.place(ids), self.body.stance_qpos[ids]
+        qpos, qvel = start_state(stance, origin, self._ground, self.task.randomisation, self.generator)
         self.sim.set_state(ids, qpos, qvel)
         self._last_qd[ids] = qvel[:, 6:].float()
+        for zeroed in (self.action, self._last_torque, self.episode_step, self._way, self._asked):
+            zeroed[ids] = 0
+        self.contacts.reset(ids)
+        self.commands.draw(ids)
+        if self.goals is not None:
+            self.goals.assign(ids, self.terrain.waypoints[self.curriculum.level[ids], self.curriculum.column[ids]])
+        if self._delay is not None:
+            self._delay.reset(ids)
+        if self.eyes is not None:
+            self.eyes.reset(ids, qpos[:, :3].float(), qpos[:, 3:7].float())
+        self._steer(read_motion(self.sim))
 
 
-_STATE = (
-    "command",
-    "action",
-    "episode_step",
-    "command_step",
-    "_last_qd",
-    "_last_torque",
-    "_air_time",
-    "_last_contact",
-)
+_STATE = ("action", "episode_step", "_last_qd", "_last_torque", "_way", "_asked", "_error", "_steps")
 
 
-def _contact_fields(bodies: BodyBatch, friction: Tensor, damping: Tensor) -> dict[str, Array]:
-    """Per-simulation friction of all geoms and passive damping of the 12 joints.
-
-    Touches `geom_friction` and `dof_damping`; neither needs derived constants.
-    """
-    model = bodies.model
-    geom_friction = np.repeat(model.geom_friction[None], len(friction), axis=0)
-    # MuJoCo takes the larger friction of a pair, so both sides get the same
-    geom_friction[:, :, 0] = friction.double().numpy()[:, None]
-    dof_damping = np.repeat(np.asarray(model.dof_damping)[None], len(damping), axis=0)
-    dof_damping[:, 6:] *= damping.double().numpy()[:, None]
-    return {"geom_friction": geom_friction, "dof_damping": dof_damping}
+def _part(state: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:
+    return {name.removeprefix(f"{part}."): v.clone() for name, v in state.items() if name.startswith(f"{part}.")}

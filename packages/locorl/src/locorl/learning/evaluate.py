@@ -11,9 +11,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from locorl.env.commands import CommandConfig
 from locorl.env.legged_env import LeggedEnv
+from locorl.env.randomisation import no_randomisation
 from locorl.interfaces import Array, BodyFactory
-from locorl.tasks.task import CommandConfig, TaskConfig, no_randomisation
+from locorl.tasks.task import TaskConfig
 
 
 class Actor(Protocol):
@@ -117,7 +119,9 @@ def evaluate(
         task,
         episode_seconds=2 * config.seconds,  # the episode never ends by time within the evaluation
         command=CommandConfig(config.vx, (0.0, 0.0), (0.0, 0.0), hold=2 * config.seconds, standing=0.0),
-        randomisation=replace(no_randomisation(), reset_joint=config.reset_joint),
+        randomisation=replace(
+            no_randomisation(), reset_joint=config.reset_joint, reset_yaw=task.randomisation.reset_yaw
+        ),
     )
     env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
     steps = round(config.seconds / env.dt)

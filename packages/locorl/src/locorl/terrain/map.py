@@ -180,7 +180,7 @@ class TerrainMap:
         if spec.material("grid") is not None:
             geom.material = "grid"
 
-    def _tile_corner(self, level: int, column: int) -> tuple[float, float]:
+    def tile_corner(self, level: int, column: int) -> tuple[float, float]:
         """World position of a tile's frame: the middle of its near edge."""
         x, y = self._corner
         return x + level * self.tile_length, y + (column + 0.5) * self.tile_width
@@ -200,7 +200,7 @@ class TerrainMap:
         boxes = []
         for level, row in enumerate(tiles):
             for column, tile in enumerate(row):
-                x, y = self._tile_corner(level, column)
+                x, y = self.tile_corner(level, column)
                 own = tile.boxes
                 if pits and tile.floor:
                     half = self.tile_width / 2
@@ -221,7 +221,7 @@ class TerrainMap:
             for column, tile in enumerate(row):
                 if tile.relief is None:
                     continue
-                near, middle = self._tile_corner(level, column)
+                near, middle = self.tile_corner(level, column)
                 rows = np.flatnonzero((x >= near - 1e-9) & (x <= near + self.tile_length + 1e-9))
                 columns = np.flatnonzero(np.abs(y - middle) <= self.tile_width / 2 + 1e-9)
                 nodes[np.ix_(rows, columns)] = tile.relief(
@@ -260,7 +260,7 @@ class TerrainMap:
         if len(lengths) > 1:
             raise ValueError(f"{sorted(set(self.kinds))} cannot share a map: they have {sorted(lengths)} waypoints")
         corners = np.array(
-            [[self._tile_corner(level, column) for column in range(len(self.kinds))] for level in range(len(tiles))]
+            [[self.tile_corner(level, column) for column in range(len(self.kinds))] for level in range(len(tiles))]
         )
         starts = corners + np.array([[tile.start for tile in row] for row in tiles])
         points = np.array([[tile.waypoints for tile in row] for row in tiles]) + corners[:, :, None]
