@@ -1,5 +1,7 @@
 """The bodies of N robots as the environment uses them: stances, weights, and what the policy is told of them."""
 
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo ships no type stubs
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -43,8 +45,8 @@ class Embodiment:
         stance_q: joint angles of the stance, (N, 12), rad.
         stance_ctrl: targets that hold it, (N, 12), rad.
         stance_height: base above ground, (N,), m.
-        mass: payload included, (N,), kg.
-        weight: the same, N.
+        mass: payload included, (N,), kg, double precision.
+        weight: the same, N, single precision.
     """
 
     bodies: BodyBatch
@@ -65,7 +67,7 @@ class Embodiment:
             return torch.from_numpy(np.array(values, dtype=np.float64)).to(device)
 
         stance = tensor(bodies.stance_qpos)
-        mass = tensor(bodies.total_mass).float() + drawn.payload
+        mass = tensor(bodies.total_mass) + drawn.payload
         return cls(
             bodies=bodies,
             drawn=drawn,
@@ -74,7 +76,7 @@ class Embodiment:
             stance_ctrl=tensor(bodies.stance_ctrl).float(),
             stance_height=stance[:, 2].float(),
             mass=mass,
-            weight=mass * GRAVITY,
+            weight=mass.float() * GRAVITY,
         )
 
     def fields(self) -> dict[str, Array]:
@@ -95,7 +97,7 @@ class Embodiment:
         drawn = self.drawn
         values = {
             "design": torch.from_numpy(design).to(self.mass.device),
-            "mass_ratio": (self.mass.double() / nominal_mass - 1.0)[:, None],
+            "mass_ratio": (self.mass / nominal_mass - 1.0)[:, None],
             "centre_of_mass": centre_of_mass,
             "stance_height": self.stance_qpos[:, 2:3],
             "friction": drawn.friction[:, None],
