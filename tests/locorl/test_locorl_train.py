@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -14,7 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from locorl import CheckpointError, DivergedError, Trainer
+from locorl import CheckpointError, DivergedError, TrainConfig, Trainer, sample_designs
+from locorl.bodies.samplers import MorphologyConfig
 from locorl.config import to_dict
 from locorl.learning import checkpoint
 from locorl.learning.metrics import read_metrics
@@ -73,8 +75,11 @@ def test_the_seed_decides_the_weights(factory, tiny, whole):
     assert not equal(dict(fresh), dict(saved))  # training did change them
 
 
-def test_every_robot_has_a_body_of_its_own(whole):
+def test_every_robot_has_a_body_of_its_own(whole, factory):
     designs = checkpoint.load(whole / "checkpoint.pt")["designs"].numpy()
+    # the stream of bodies, so that trainings of before repeat themselves
+    stream = int(np.random.SeedSequence(0).spawn(4)[0].generate_state(1)[0])
+    np.testing.assert_array_equal(designs, sample_designs(factory, 8, np.random.default_rng(stream)))
     assert len(np.unique(designs.round(6), axis=0)) == 8
     assert ((designs >= 0.6) & (designs <= 1.4)).all()
 
@@ -93,6 +98,97 @@ def test_a_resumed_run_is_bit_identical(factory, tiny, whole, tmp_path):
         for folder in (tmp_path, whole)
     )
     assert ours == theirs
+
+
+class Killed(BaseException):
+    """The process ends here."""
+
+
+def killed_in(factory, config, folder, iteration: int) -> None:
+    """Train until `iteration`, counted from 0, is being learned from."""
+    trainer = Trainer(factory, config, folder, threads=1)
+    update = trainer.ppo.update
+
+    def die() -> dict[str, float]:
+        if trainer.iteration == iteration:
+            raise Killed
+        return update()
+
+    trainer.ppo.update = die
+    with pytest.raises(Killed):
+        trainer.run(quiet=True)
+
+
+SWITCHING = {
+    "temporal": MorphologyConfig(kind="temporal", bodies=3),  # switches in front of iterations 2 and 4 of 5
+    "adaptive": MorphologyConfig(kind="adaptive", every=2),
+}
+
+
+@pytest.fixture(scope="module", params=SWITCHING)
+def switching(request, factory, tiny, tmp_path_factory) -> tuple[TrainConfig, Path]:
+    """A configuration whose bodies switch, and a folder with an uninterrupted run of it."""
+    folder = tmp_path_factory.mktemp("switching")
+    config = replace(tiny, iterations=5, save_every=1, morphology=SWITCHING[request.param])
+    train(factory, config, folder)
+    return config, folder
+
+
+# a checkpoint of just before a switch, of just after one, and of the iteration between two
+@pytest.mark.parametrize("iteration", [2, 3, 4])
+def test_a_run_resumed_across_a_switch_is_bit_identical(factory, switching, tmp_path, iteration):
+    config, folder = switching
+    killed_in(factory, config, tmp_path, iteration)
+    torch.manual_seed(123)
+    resumed = Trainer(factory, config, tmp_path, threads=1)
+    assert resumed.iteration == iteration
+    resumed.run(quiet=True)
+    assert equal(checkpoint.load(tmp_path / "checkpoint.pt"), checkpoint.load(folder / "checkpoint.pt"))
+
+
+def test_the_bodies_switch_on_time_and_in_place(factory, switching):
+    config, folder = switching
+    trainer = Trainer(factory, config, threads=1)
+    simulator, bodies, collect = trainer.env.sim, [], trainer.ppo.collect
+
+    def watched(env, obs):
+        bodies.append(np.asarray(env.bodies.designs).copy())
+        # what the policy sees is the body that it has: its design comes first in the implicit group, over [-1, 1]
+        seen = 1.0 + 0.4 * obs["implicit"][:, :4].numpy()
+        np.testing.assert_allclose(seen, bodies[-1], atol=1e-6)
+        return collect(env, obs)
+
+    trainer.ppo.collect = watched
+    trainer.run(quiet=True)
+    assert trainer.env.sim is simulator
+    assert [not np.array_equal(a, b) for a, b in itertools.pairwise(bodies)] == [False, True, False, True]
+    assert equal(dict(trainer.model.state_dict()), dict(checkpoint.load(folder / "checkpoint.pt")["model"]))
+    if config.morphology.kind == "temporal":
+        assert [len(np.unique(designs, axis=0)) for designs in bodies] == [1] * 5
+
+
+def test_a_longer_adaptive_run_goes_on(factory, tiny, tmp_path):
+    config = replace(tiny, morphology=SWITCHING["adaptive"])
+    train(factory, config, tmp_path / "whole")
+    train(factory, replace(config, iterations=2), tmp_path / "longer")  # ends where the bodies would have switched
+    train(factory, config, tmp_path / "longer")
+    ends = [checkpoint.load(tmp_path / name / "checkpoint.pt") for name in ("whole", "longer")]
+    assert equal(*ends)
+
+
+def test_bodies_that_take_turns_have_no_longer_run(factory, tiny, tmp_path):
+    config = replace(tiny, iterations=3, morphology=SWITCHING["temporal"])
+    train(factory, config, tmp_path)
+    with pytest.raises(CheckpointError, match=r"another configuration(.|\n)*\n  iterations: 3 -> 9$"):
+        Trainer(factory, replace(config, iterations=9), tmp_path, threads=1)
+
+
+@pytest.mark.parametrize("kind", ["none", "grid", "sobol"])
+def test_the_configuration_decides_the_bodies(factory, tiny, kind):
+    designs = Trainer(factory, replace(tiny, morphology=MorphologyConfig(kind=kind)), threads=1).env.bodies.designs
+    on_grid = np.isin(designs.round(9), (0.6, 1.0, 1.4)).all()
+    assert on_grid == (kind != "sobol")
+    assert len(np.unique(designs, axis=0)) == (1 if kind == "none" else 8)
 
 
 def test_a_finished_run_is_not_repeated(factory, tiny, whole):

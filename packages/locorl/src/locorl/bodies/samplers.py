@@ -72,7 +72,7 @@ class MorphologySampler(Protocol):
 
         Args:
             iteration: the one that begins, from 0.
-            scores: how badly each robot does with its present body, (N,); higher is worse.
+            scores: how badly each robot has done with its present body, (N,), a mean over its steps; higher is worse.
 
         Returns:
             The new bodies, (N, d), or None if they stay.
@@ -133,7 +133,7 @@ class FixedSampler:
     def __init__(self, designs: Array) -> None:
         self.designs = designs
 
-    def next(self, iteration: int, scores: Tensor) -> None:  # noqa: ARG002
+    def next(self, iteration: int, scores: Tensor) -> None:
         """They never change."""
 
     def state_dict(self) -> dict[str, Any]:
@@ -171,7 +171,7 @@ class TemporalSampler:
         """The present body, once for each robot, (N, d)."""
         return np.tile(self._bodies[self._turn], (self._num_envs, 1))
 
-    def next(self, iteration: int, scores: Tensor) -> Array | None:  # noqa: ARG002
+    def next(self, iteration: int, scores: Tensor) -> Array | None:
         """The next body for all robots when its turn comes."""
         turn = iteration * len(self._bodies) // self._iterations
         if turn == self._turn:
@@ -192,8 +192,7 @@ class AdaptiveSampler:
     """Trains more on bodies like those on which the policy does worst.
 
     Starts as `spatial` does. Every `config.every` iterations all bodies are dealt anew: a share of `config.uniform`
-    uniformly, the others around the bodies with the worst scores. A score is the mean since the last deal, and over
-    the nearest bodies.
+    uniformly, the others around the bodies with the worst scores, each averaged over the nearest bodies.
 
     Args:
         config: the options.
@@ -210,27 +209,21 @@ class AdaptiveSampler:
             raise ValueError("adaptive bodies need at least 2 robots, one of them with a uniformly drawn body")
         self._config, self._factory, self._seed = config, factory, seed
         self.designs = sample_designs(factory, num_envs, np.random.default_rng(seed))
-        self._sum = torch.zeros(num_envs, dtype=torch.float64)
 
     def next(self, iteration: int, scores: Tensor) -> Array | None:
         """Other bodies every `config.every` iterations."""
-        if iteration == 0:
+        if iteration == 0 or iteration % self._config.every:
             return None
-        self._sum += scores.to(self._sum)
-        if iteration % self._config.every:
-            return None
-        self.designs = self._deal(self._local_mean(self._sum), np.random.default_rng((self._seed, iteration)))
-        self._sum.zero_()
+        self.designs = self._deal(self._local_mean(scores.cpu()), np.random.default_rng((self._seed, iteration)))
         return self.designs
 
     def state_dict(self) -> dict[str, Any]:
-        """The bodies and their scores since the last deal."""
-        return {"designs": torch.from_numpy(self.designs.copy()), "sum": self._sum.clone()}
+        """The bodies."""
+        return {"designs": torch.from_numpy(self.designs.copy())}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Go back to a saved state."""
         self.designs = state["designs"].numpy().copy()
-        self._sum = state["sum"].clone()
 
     def _local_mean(self, scores: Tensor) -> Array:
         """Mean score of each body and its nearest, (N,)."""

@@ -1,4 +1,4 @@
-"""Training runs: spatial domain randomisation, metrics, checkpoints, resume."""
+"""Training runs: bodies by a sampler, metrics, checkpoints, resume."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from locorl.bodies.designs import sample_designs
+from locorl.bodies.samplers import FixedSampler, MorphologyConfig, MorphologySampler, make_sampler
 from locorl.config import differences, to_dict
 from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import Array, BodyFactory
@@ -30,12 +30,13 @@ class TrainConfig:
     """A training run."""
 
     num_envs: int = 1024
-    """Robots trained at once; each has a body of its own in pre-training."""
+    """Robots trained at once."""
     iterations: int = 500
     """Rollouts and updates."""
     seed: int = 0
     save_every: int = 20
     """Iterations between checkpoints."""
+    morphology: MorphologyConfig = field(default_factory=MorphologyConfig)
     task: TaskConfig = field(default_factory=TaskConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
@@ -56,12 +57,13 @@ class Trainer:
         factory: makes the bodies.
         config: the run.
         folder: where to write; a checkpoint found there is resumed.
-        designs: bodies, (N, d); by default drawn uniformly from the design space (section III-B1).
+        designs: bodies for the whole run, (N, d); by default `config.morphology` deals them.
         start: policy to start from, as in fine-tuning; the optimiser starts fresh.
         threads: simulation threads.
 
     Raises:
         checkpoint.CheckpointError: the folder holds a checkpoint of another configuration, or a broken one.
+        ValueError: the number of designs is not N, a body has no stance, or the bodies cannot be dealt as asked.
     """
 
     def __init__(
@@ -77,12 +79,14 @@ class Trainer:
         self.iteration = 0
         streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(config.seed).spawn(4)]
         resumed = self._read_checkpoint()
-        if designs is None:
-            rng = np.random.default_rng(streams[0])
-            designs = sample_designs(factory, config.num_envs, rng)
-        if len(designs) != config.num_envs:
+        if designs is not None and len(designs) != config.num_envs:
             raise ValueError(f"{len(designs)} designs for {config.num_envs} robots")
-        self.env = LeggedEnv(factory, designs, config.task, seed=streams[1], threads=threads)
+        self.sampler: MorphologySampler = (
+            make_sampler(config.morphology, factory, config.num_envs, config.iterations, streams[0])
+            if designs is None
+            else FixedSampler(designs)
+        )
+        self.env = LeggedEnv(factory, self.sampler.designs, config.task, seed=streams[1], threads=threads)
         if start is not None:
             start.check_space(factory.name, factory.space)
         torch.manual_seed(streams[2])
@@ -137,6 +141,9 @@ class Trainer:
         with TrainingProgress(title, config.iterations, self.iteration, quiet) as progress:
             while self.iteration < config.iterations:
                 started = time.perf_counter()
+                designs = self.sampler.next(self.iteration, self.env.score)
+                if designs is not None:
+                    self._obs = self.env.set_designs(designs)
                 self._obs, stats = self.ppo.collect(self.env, self._obs)
                 collected = time.perf_counter()
                 stats |= self.ppo.update()
@@ -172,6 +179,7 @@ class Trainer:
             "iteration": self.iteration,
             "ppo": self.ppo.state_dict(),
             "env": self.env.state_dict(),
+            "sampler": self.sampler.state_dict(),
             "designs": torch.from_numpy(np.asarray(self.env.bodies.designs).copy()),
         }
         checkpoint.save(self.folder / "checkpoint.pt", content)
@@ -185,8 +193,9 @@ class Trainer:
         if "config" not in content:
             raise checkpoint.CheckpointError(f"{path} holds a policy but no training to resume; use another folder")
         mine = to_dict(self.config)
-        # a longer run of the same configuration is the same run
-        changes = differences({**content["config"], "iterations": 0}, {**mine, "iterations": 0})
+        # a longer run of the same configuration is the same run, unless the bodies share the iterations out
+        free = {} if self.config.morphology.kind == "temporal" else {"iterations": 0}
+        changes = differences({**content["config"], **free}, {**mine, **free})
         if changes:
             raise checkpoint.CheckpointError(
                 f"{path} belongs to another configuration; use another folder. Differences:\n  " + "\n  ".join(changes)
@@ -194,8 +203,6 @@ class Trainer:
         return content
 
     def _restore(self, content: Mapping[str, Any]) -> None:
-        if not np.array_equal(content["designs"].numpy(), self.env.bodies.designs):
-            raise checkpoint.CheckpointError(f"{self.folder}: the checkpoint was trained on other bodies")
         samples = self._card.samples + int(content["iteration"]) * self.config.samples_per_iteration
         changes = differences(content["card"], to_dict(replace(self._card, samples=samples)))
         if changes:
@@ -203,6 +210,9 @@ class Trainer:
                 f"{self.folder}: the checkpoint belongs to another robot or another starting policy; use another "
                 "folder. Differences:\n  " + "\n  ".join(changes)
             )
+        self.sampler.load_state_dict(content["sampler"])
+        if not np.array_equal(content["designs"].numpy(), self.sampler.designs):
+            raise checkpoint.CheckpointError(f"{self.folder}: the checkpoint was trained on other bodies")
         self.model.load_state_dict(content["model"])
         self.ppo.load_state_dict(content["ppo"])
         self._obs = self.env.load_state_dict(content["env"])
