@@ -50,7 +50,7 @@ def config_hash(data: Mapping[str, Any]) -> str:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """Where two configurations differ, one line each: `task.reward.torque: -1e-05 -> 0.0`."""
+    """Where two configurations differ, one line each: `task.reward.torque_penalty: -1e-05 -> 0.0`."""
     lines: list[str] = []
     for name in sorted(set(old) | set(new)):
         a, b = old.get(name), new.get(name)
