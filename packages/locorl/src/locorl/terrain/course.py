@@ -13,7 +13,7 @@ RUN_UP = 2.5
 """Length of the level ground before the first obstacle, m."""
 OFFSET = 0.4
 """Obstacles lie up to this far to the left or right of the middle line, m."""
-_START, _FIRST, _LAST = 1.0, 2.0, 1.0
+_START, _FIRST, _LAST = 1.0, 2.0, 1.5
 
 
 def course(

@@ -20,7 +20,9 @@ from locorl.terrain.tile import LOCOMOTION, PIT, Box, Kind, Tile, TileSize
 
 _BASE = 0.2
 """How far the floor lies under the lowest point of a height field, m."""
-_LOW_COLOUR, _HIGH_COLOUR = np.array((0.80, 0.72, 0.60)), np.array((0.70, 0.38, 0.25))
+_DEEP, _LEVEL, _LOW, _HIGH = (0.45, 0.55, 0.58), (0.84, 0.84, 0.83), (0.80, 0.72, 0.60), (0.70, 0.38, 0.25)
+"""Colours of hollows, level ground, low and high obstacles."""
+_PIT = (0.24, 0.31, 0.37, 1.0)
 _VIEW = 8.0
 """Extent that MuJoCo's cameras scale their clipping planes by, m; the map's own would cut near robots off."""
 
@@ -43,7 +45,7 @@ class TerrainConfig:
     """Spacing of the height grid that scans and cameras read, m."""
     relief_cell: float = 0.1
     """Spacing of the height field that the physics walks on, m; only maps with relief have one."""
-    border: float = 20.0
+    border: float = 50.0
     """Level ground around the tiles, m."""
     seed: int = 0
     """Of everything random on the map."""
@@ -127,7 +129,7 @@ class TerrainMap:
         if floor is None:
             raise ValueError("the scene has no plane called 'floor'; make it with flat_scene")
         if self.floor < 0.0:
-            floor.pos = [0.0, 0.0, self.floor]
+            floor.pos, floor.material, floor.rgba = [0.0, 0.0, self.floor], "", _PIT
         if self.boxes or self.field is not None:
             spec.stat.extent = _VIEW
         if self.field is not None:
@@ -146,7 +148,7 @@ class TerrainMap:
             top = box.centre[2] + box.half_size[2]
             if top > 1e-6 or box.quat[0] < 1.0:
                 shade = max(top, 0.0) / max(tallest, 1e-6)
-                geom.rgba = [*(_LOW_COLOUR + shade * (_HIGH_COLOUR - _LOW_COLOUR)), 1.0]
+                geom.rgba = [*_blend(shade, (0.0, 1.0), (_LOW, _HIGH)), 1.0]
             elif spec.material("grid") is not None:
                 geom.material = "grid"
 
@@ -169,16 +171,27 @@ class TerrainMap:
             size=[-field.low[0], -field.low[1], max(high - low, 1e-3), _BASE],
             userdata=field.nodes.T.ravel(),
         )
-        geom = spec.worldbody.add_geom(
+        spec.worldbody.add_geom(
             name="terrain",
             type=mujoco.mjtGeom.mjGEOM_HFIELD,
             hfieldname="terrain",
             pos=[0.0, 0.0, low],
+            material="terrain",
             contype=0,
             conaffinity=1,
         )
-        if spec.material("grid") is not None:
-            geom.material = "grid"
+        colours = _blend(field.nodes.T, (min(low, -1e-3), 0.0, max(high, 1e-3)), (_DEEP, _LEVEL, _HIGH))
+        colours[np.add.outer(*(np.arange(count) // 10 for count in field.nodes.T.shape)) % 2 == 0] *= 0.93
+        spec.add_texture(
+            name="terrain",
+            type=mujoco.mjtTexture.mjTEXTURE_2D,
+            width=field.nodes.shape[0],
+            height=field.nodes.shape[1],
+            nchannel=3,
+            data=(255 * colours).astype(np.uint8).ravel().tolist(),
+        )
+        material = spec.add_material(name="terrain", specular=0.0)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "terrain"
 
     def tile_corner(self, level: int, column: int) -> tuple[float, float]:
         """World position of a tile's frame: the middle of its near edge."""
@@ -273,3 +286,8 @@ class TerrainMap:
         """Points (..., 2) with the height of the ground there, (..., 3)."""
         points = np.concatenate((xy, self.ground(xy[..., 0], xy[..., 1])[..., None]), axis=-1)
         return torch.from_numpy(points).to(self.device, torch.float32)
+
+
+def _blend(value: Array | float, at: Sequence[float], colours: Sequence[tuple[float, float, float]]) -> Array:
+    """Colour (..., 3) of each value, between the `colours` that belong `at` certain values."""
+    return np.stack([np.interp(value, at, channel) for channel in zip(*colours, strict=True)], axis=-1)

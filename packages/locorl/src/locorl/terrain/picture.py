@@ -14,7 +14,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.patheffects import withStroke
 
 from locorl.play.renderer import Frame, gl_context
 from locorl.simulation.scene import PhysicsConfig, flat_scene
@@ -34,8 +33,10 @@ _COLOURS = LinearSegmentedColormap.from_list(
     ],
 )
 _WIDTH, _LEFT = 14.0, 0.58
-_PITCH = 0.02
+_PITCH = 0.025
 """Distance of the points that are drawn, m."""
+_SUN = np.array((0.5, -0.45, -0.8))
+"""Direction of the light."""
 _WAYPOINT = (0.04, 0.48, 0.46, 1.0)
 _ROBOT = (0.20, 0.25, 0.32, 1.0)
 
@@ -70,14 +71,14 @@ def render(terrain: TerrainMap, level: int, column: int, width: int = 800, heigh
     middle = terrain.origins[level, column].double().numpy(force=True)
     course = terrain.waypoints[level, column].double().numpy(force=True)
     if len(course):
-        middle += 0.4 * (course[-1] - middle)
+        middle += 0.33 * (course[-1] - middle)
     reach = 0.6 * terrain.tile_length if len(course) else max(terrain.tile_length, terrain.tile_width)
     _light(model, middle, reach)
 
     option, camera = mujoco.MjvOption(), mujoco.MjvCamera()
     camera.lookat[:] = middle
-    camera.azimuth, camera.elevation = (32.0, -24.0) if len(course) else (55.0, -32.0)
-    camera.distance = (0.85 if len(course) else 1.3) * reach
+    camera.azimuth, camera.elevation = (38.0, -24.0) if len(course) else (55.0, -32.0)
+    camera.distance = (1.0 if len(course) else 1.3) * reach
     scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
     context = gl_context(width, height)
@@ -86,7 +87,7 @@ def render(terrain: TerrainMap, level: int, column: int, width: int = 800, heigh
         data.light_xpos[:] = middle - reach * data.light_xdir
         mujoco.mjv_updateScene(model, data, option, None, camera, everything, scene)
         for point in course:
-            _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, point + (0.0, 0.0, 0.1), (0.1, 0.1, 0.1), _WAYPOINT)
+            _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, point + np.array((0.0, 0.0, 0.1)), (0.1, 0.1, 0.1), _WAYPOINT)
         _add_figure(scene, terrain.origins[level, column].double().numpy(force=True))
         drawer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawer)
@@ -106,8 +107,8 @@ def _light(model: mujoco.MjModel, middle: np.ndarray, reach: float) -> None:
     settings.global_.fovy = 40.0
     settings.quality.shadowsize, settings.quality.offsamples = 4096, 8
     settings.headlight.ambient[:], settings.headlight.diffuse[:], settings.headlight.specular[:] = 0.42, 0.18, 0.0
-    model.light_ambient[:], model.light_diffuse[:] = 0.0, 0.6
-    model.light_dir[:] = np.array((0.35, 0.5, -0.8)) / np.linalg.norm((0.35, 0.5, -0.8))
+    model.light_ambient[:], model.light_diffuse[:], model.light_specular[:] = 0.0, 0.6, 0.0
+    model.light_dir[:] = _SUN / np.linalg.norm(_SUN)
     model.stat.extent, model.stat.center[:] = 1.0, middle
     settings.map.znear, settings.map.zfar = 0.1, 400.0
     settings.map.shadowclip = 0.75 * reach
@@ -126,18 +127,17 @@ def _add(
 
 
 def _add_figure(scene: mujoco.MjvScene, ground: np.ndarray) -> None:
-    """A trunk and four legs, hips 0.3 m high, for scale."""
+    """A trunk with a head and four legs, hips 0.3 m high, for scale."""
     box, capsule = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CAPSULE
-    _add(scene, box, ground + (0.0, 0.0, 0.33), (0.28, 0.1, 0.06), _ROBOT)
-    _add(scene, box, ground + (0.33, 0.0, 0.37), (0.07, 0.06, 0.05), _ROBOT)
-    for x in (-0.2, 0.2):
-        for y in (-0.13, 0.13):
-            _add(scene, capsule, ground + (x, y, 0.16), (0.025, 0.025, 0.135), _ROBOT)
+    parts = [(box, (0.0, 0.0, 0.33), (0.28, 0.1, 0.06)), (box, (0.33, 0.0, 0.37), (0.07, 0.06, 0.05))]
+    parts += [(capsule, (x, y, 0.16), (0.04, 0.04, 0.12)) for x in (-0.2, 0.2) for y in (-0.13, 0.13)]
+    for shape, offset, size in parts:
+        _add(scene, shape, ground + np.array(offset), size, _ROBOT)
 
 
 def _row_height(terrain: TerrainMap) -> float:
     """Height of a map's row in the figure, in."""
-    return 5.6 if terrain.tile_length > 2 * terrain.tile_width else 3.7
+    return 6.2 if terrain.tile_length > 2 * terrain.tile_width else 3.7
 
 
 def _draw_row(figure: SubFigure, terrain: TerrainMap) -> None:
@@ -154,36 +154,38 @@ def _draw_row(figure: SubFigure, terrain: TerrainMap) -> None:
     norm = TwoSlopeNorm(0.0, low, high)
     for ax, level in zip(axes, levels, strict=True):
         _draw_tile(ax, terrain, level, norm)
-    scale = left.add_axes((0.73, 0.955 - 0.05 / height, 0.25, 0.1 / height))
+    scale = left.add_axes((0.66, 0.955 - 0.05 / height, 0.25, 0.1 / height))
     bar = left.colorbar(ScalarMappable(norm, _COLOURS), cax=scale, orientation="horizontal")
     ticks = [tick for tick in (low, 0.0, high) if abs(tick) > 0.021 or tick == 0.0]
     bar.set_ticks(ticks, labels=[f"{tick:.2g} m" for tick in ticks])
+    bar.ax.set_xlim(low if low < -0.02 else 0.0, high if high > 0.02 else 0.0)
     bar.ax.tick_params(colors=MUTED, labelsize=8, length=2)
     bar.outline.set_visible(False)
     ax = right.add_axes((0.0, 0.04, 0.97, 0.86))
     pixels = int(_WIDTH * (1 - _LEFT) * 0.97 * 180), int(height * 0.86 * 180)
     ax.imshow(render(terrain, levels[-1], 0, *pixels))
+    ax.set_title(f"level {levels[-1]}, with a figure of hip height 0.3 m", color=INK, fontsize=9.5, loc="left", pad=4)
     ax.set_axis_off()
 
 
 def _shade(colours: np.ndarray, light: np.ndarray) -> np.ndarray:
     """Darken and lighten `colours` (..., 3) about the `light` (..., 1) of level ground."""
-    return np.clip(colours * (1.0 + 0.9 * (light - np.median(light))), 0.0, 1.0)
+    return np.clip(colours * (1.0 + 0.6 * (light - np.median(light))), 0.0, 1.0)
 
 
 def _draw_tile(ax: Axes, terrain: TerrainMap, level: int, norm: TwoSlopeNorm) -> None:
     length, width = terrain.tile_length, terrain.tile_width
     corner = np.array(terrain.tile_corner(level, 0))
-    x, y = np.arange(_PITCH / 2, length, _PITCH), np.arange(_PITCH / 2 - width / 2, width / 2, _PITCH)
+    x, y = np.arange(0, length, _PITCH), np.arange(-width / 2, width / 2, _PITCH)
     points = np.stack(np.meshgrid(x, y, indexing="xy"), axis=-1) + corner
     z = terrain.heights.at(torch.from_numpy(points).to(terrain.device)).numpy(force=True)
     colours = LightSource(azdeg=315, altdeg=50).shade(z, _COLOURS, norm=norm, blend_mode=_shade, dx=_PITCH, dy=_PITCH)
     ax.imshow(colours, origin="lower", extent=(0, length, -width / 2, width / 2), interpolation="antialiased")
     course = terrain.waypoints[level, 0, :, :2].numpy(force=True) - corner
     start = terrain.origins[level, 0, :2].numpy(force=True) - corner
-    halo = [withStroke(linewidth=3, foreground="white")]
     if len(course):
-        ax.plot(*np.vstack((start, course)).T, color=ACCENT, lw=1.2, ls=(0, (4, 2)), path_effects=halo)
+        ax.plot(*np.vstack((start, course)).T, color="white", lw=3.0)
+        ax.plot(*np.vstack((start, course)).T, color=ACCENT, lw=1.2)
         ax.scatter(*course.T, s=90, color="white", edgecolor=ACCENT, lw=1.4, zorder=3)
         for number, point in enumerate(course, 1):
             ax.annotate(

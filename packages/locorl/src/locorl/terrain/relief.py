@@ -17,11 +17,11 @@ def flat(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile:
 
 
 def hills(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile:
-    """Hills and hollows of +-(0.05 + 0.2 d) m every 1.5 m or so, under roughness of +-(0.01 + 0.03 d) m.
+    """Hills and hollows of +-(0.05 + 0.2 d) m every 1.5 m or so, under roughness of +-(0.01 + 0.02 d) m.
 
     The start and the border of the tile are level.
     """
-    amplitude, roughness = 0.05 + 0.2 * difficulty, 0.01 + 0.03 * difficulty
+    amplitude, roughness = 0.05 + 0.2 * difficulty, 0.01 + 0.02 * difficulty
     swell = value_noise(rng, size, spacing=1.5, smooth=True)
     grain = value_noise(rng, size, spacing=0.2, smooth=False)
 
