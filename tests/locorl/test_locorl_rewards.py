@@ -173,6 +173,8 @@ def test_air_time_is_capped_and_paid_only_under_command(state):
     assert TERMS["feet_air_time"](state, config).item() == pytest.approx((0.4 + 0.2 + 0.4) - 3 * 0.15)
     state.command = row(0.05, 0.05, 0.5, width=3)  # turning on the spot needs no steps of a given length
     assert TERMS["feet_air_time"](state, config).item() == 0.0
+    # the paper prints no such condition
+    assert TERMS["feet_air_time"](state, replace(config, air_time_command=0.0)).item() == pytest.approx(0.55)
 
 
 @pytest.mark.parametrize(

@@ -254,7 +254,7 @@ class LeggedEnv:
         info = StepInfo(
             truncated_ids=truncated_ids,
             final_obs=final_obs,
-            reward_terms={name: value.mean() for name, value in terms.items()},
+            reward_terms=dict(zip(terms, torch.stack(tuple(terms.values())).mean(dim=1), strict=True)),
             tracking_error=error,
             positive_work=self.sim.positive_work.float(),
             diverged=diverged,

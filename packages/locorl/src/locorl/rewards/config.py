@@ -45,6 +45,8 @@ class RewardConfig:
     """Seconds in the air that earn nothing; the paper's is 0.5."""
     air_time_cap: float = 0.4
     """Air time beyond this earns no more, s; infinite in the paper."""
+    air_time_command: float = 0.1
+    """Air time counts only beyond this commanded speed, m/s; 0 counts always, as the paper does."""
     normalise_goal_velocity: bool = False
     """Whether goal tracking is divided by the commanded speed, as in the authors' released code."""
     clip_at_zero: bool = True
@@ -79,6 +81,7 @@ def table_i(task: Literal["locomotion", "parkour"] = "locomotion") -> RewardConf
             kernel="l1",
             air_time_offset=0.5,
             air_time_cap=float("inf"),
+            air_time_command=0.0,
             clip_at_zero=False,
         )
     if task == "parkour":

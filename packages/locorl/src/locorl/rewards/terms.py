@@ -97,12 +97,16 @@ def collisions(state: StepState, _: RewardConfig) -> Tensor:
 
 
 def feet_air_time(state: StepState, config: RewardConfig) -> Tensor:
-    """Feet air time: sum over feet of (t_air - offset), while a horizontal velocity is commanded.
+    """Feet air time: sum over feet of (t_air - offset).
 
-    Counts once, when the foot touches down: summed at every step, as printed, it would punish standing.
+    Counts once, when the foot touches down: summed at every step, as printed, it would punish standing. With
+    `air_time_command` it counts only while a horizontal velocity beyond it is commanded.
     """
     gain = state.landed_air_time.clamp(max=config.air_time_cap).sub_(config.air_time_offset).mul_(state.landed)
-    return gain.sum(dim=1).mul_(torch.linalg.vector_norm(state.command[:, :2], dim=1) > 0.1)
+    total = gain.sum(dim=1)
+    if config.air_time_command > 0.0:
+        total.mul_(torch.linalg.vector_norm(state.command[:, :2], dim=1) > config.air_time_command)
+    return total
 
 
 # --------------------------------------------------------------------- parkour
