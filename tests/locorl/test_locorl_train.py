@@ -167,6 +167,24 @@ def test_the_bodies_switch_on_time_and_in_place(factory, switching):
         assert [len(np.unique(designs, axis=0)) for designs in bodies] == [1] * 5
 
 
+def test_the_sampler_hears_of_each_robots_tracking_error(factory, tiny):
+    trainer = Trainer(factory, replace(tiny, iterations=3, morphology=SWITCHING["adaptive"]), threads=1)
+    errors, heard, step, choose = [], [], trainer.env.step, trainer.sampler.next
+
+    def watched(action):
+        result = step(action)
+        errors.append(result[4].tracking_error.clone())
+        return result
+
+    def listening(iteration, scores):
+        heard.append(scores.clone())
+        return choose(iteration, scores)
+
+    trainer.env.step, trainer.sampler.next = watched, listening
+    trainer.run(quiet=True)
+    torch.testing.assert_close(heard[2], torch.stack(errors[:12]).mean(dim=0))  # two iterations of 6 steps
+
+
 def test_a_longer_adaptive_run_goes_on(factory, tiny, tmp_path):
     config = replace(tiny, morphology=SWITCHING["adaptive"])
     train(factory, config, tmp_path / "whole")
