@@ -26,9 +26,9 @@ class MorphologyConfig:
     none: the nominal body (No-DR).
     grid: the bodies of a regular grid, in equal numbers.
     sobol: each robot has a body of its own, from a scrambled Sobol sequence.
-    adaptive: as spatial; from time to time, bodies like those that track worst replace some of the others."""
+    adaptive: as spatial at first; from time to time all are drawn anew, part of them like those that track worst."""
     levels: int = 3
-    """grid: values per parameter; 3 give the paper's 81 bodies."""
+    """grid, and temporal with a grid: values per parameter; 3 give the paper's 81 bodies."""
     bodies: int | None = 81
     """temporal: bodies that take turns, drawn uniformly; None takes those of the grid, shuffled."""
     every: int = 20
