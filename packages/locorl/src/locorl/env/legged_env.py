@@ -16,15 +16,14 @@ from locorl.env.depth_stream import DepthStream
 from locorl.env.embodiment import Embodiment, make_bodies
 from locorl.env.failures import FailureLog
 from locorl.env.goals import Waypoints
-from locorl.env.kinematics import wrap, yaw_of
+from locorl.env.guidance import Guidance
 from locorl.env.observation import observation_layout
 from locorl.env.observer import Observer, Snapshot
 from locorl.env.randomisation import ActionDelay, Perturbation, draw_perturbation
 from locorl.env.reset import start_state
+from locorl.env.scoring import Scoring
 from locorl.env.state import Motion, Stateful, read_motion
 from locorl.interfaces import Array, BodyBatch, BodyFactory
-from locorl.rewards.state import StepState
-from locorl.rewards.total import active_terms, total_reward
 from locorl.simulation.make import SimulatorConfig, make_simulator
 from locorl.simulation.scene import flat_scene
 from locorl.tasks.task import TaskConfig
@@ -112,21 +111,21 @@ class LeggedEnv:
         self.failures = FailureLog(bodies.designs, device)
 
         self.contacts = Contacts(self.sim, factory.layout, self.dt)
+        self.scoring = Scoring(task.reward, self.sim, self.terrain.heights, self.dt)
         self.commands = VelocityCommands(task.command, self.dt, n, self.generator)
         count = self.terrain.waypoints.shape[2]
         self.goals = None if task.goals is None else Waypoints(task.goals, count, self.dt, n, device)
+        self.guidance = Guidance(self.commands, self.goals)
         ground, noise = self.terrain.heights, task.randomisation.observation_noise
         self.observer = Observer(task.observation, self.layout, ground, noise, self.dt, n, self.generator)
         self.eyes = None if task.camera is None else DepthStream(task.camera, ground, n, self.dt, self.generator)
         delay = task.randomisation.action_delay
         self._delay = None if delay[1] == 0 else ActionDelay(delay, n, self.num_actions, self.generator)
 
-        self.action, self._last_torque, self._last_qd = (torch.zeros(n, 12, device=device) for _ in range(3))
+        self.action = torch.zeros(n, self.num_actions, device=device)
         self.episode_step = torch.zeros(n, dtype=torch.long, device=device)
         self._way, self._asked, self._error = (torch.zeros(n, device=device) for _ in range(3))
         self._steps = torch.zeros((), dtype=torch.long)
-        self._weights = active_terms(task.reward)
-        self._nothing = torch.zeros(1, 1, device=device)
         self._obs: Obs = {}
         # a stream of its own: on level ground there is nothing to draw
         self._tile_generator = torch.Generator(device).manual_seed(seed)
@@ -218,15 +217,15 @@ class LeggedEnv:
 
         now = read_motion(self.sim)
         self.contacts.update()
-        way, direction = self._progress(now)
-        reward, terms = total_reward(self._step_state(now, last_action, direction), task.reward, self.dt)
-        self._last_qd, self._last_torque = now.qd, self.sim.torque.float()
-        success = self._advance_goals(now)
+        reward, terms = self.scoring.reward(now, self.body, self.contacts, self.guidance, self.action, last_action)
+        error = (self.guidance.speed(now) - self.command[:, 0]).abs()
+        self._way += self.guidance.progress(now) * self.dt
+        self._asked += self.command[:, :2].norm(dim=1) * self.dt
+        success = self.guidance.reach(now)
         diverged = self.sim.diverged.clone()
         terminated = self._fallen(now) | diverged
         reward = torch.where(diverged, torch.zeros_like(reward), reward)
         truncated = ~terminated & ((self.episode_step >= task.episode_steps) | success)
-        error = (way - self.command[:, 0]).abs()
         self._error += torch.where(diverged, torch.zeros_like(error), error)
         self._steps += 1
         self.failures.add(diverged)
@@ -235,7 +234,7 @@ class LeggedEnv:
         self.commands.renew()
         # a push changes what the robot feels, and a resumed run must see the same
         seen = self._snapshot(now if task.randomisation.push <= 0.0 else read_motion(self.sim))
-        self._steer(seen.motion)
+        self.guidance.steer(seen.motion)
         self.observer.advance(seen)
         obs = self.observer.observe(seen)
         truncated_ids = truncated.nonzero().flatten()
@@ -321,6 +320,7 @@ class LeggedEnv:
         parts = {
             "commands": self.commands,
             "contacts": self.contacts,
+            "scoring": self.scoring,
             "observer": self.observer,
             "curriculum": self.curriculum,
             "goals": self.goals,
@@ -352,67 +352,8 @@ class LeggedEnv:
             command=self.command[rows],
             action=self.action[rows],
             touching=self.contacts.touching[rows],
-            heading_errors=lambda: self._heading_errors(motion, rows),
+            heading_errors=lambda: self.guidance.heading_errors(motion, rows),
         )
-
-    def _heading_errors(self, motion: Motion, rows: Tensor | slice = slice(None)) -> Tensor:
-        yaw = yaw_of(motion.quat)
-        if self.goals is None:
-            error = wrap(self.commands.heading[rows] - yaw)
-            return torch.stack((error, error), dim=1)
-        errors = [self.goals.heading_error(motion.position, yaw, steps, rows) for steps in (0, 1)]
-        return torch.stack(errors, dim=1)
-
-    def _progress(self, now: Motion) -> tuple[Tensor, Tensor]:
-        """Speed along the commanded way, (N,), m/s, and the direction to the next waypoint, (N, 3), world."""
-        if self.goals is None:
-            asked = self.command[:, :2]
-            along = (now.velocity[:, :2] * asked).sum(dim=1) / asked.norm(dim=1).clamp(min=1e-6)
-            speed, direction = now.velocity[:, 0], self._nothing
-        else:
-            direction = self.goals.direction(now.position)
-            speed = along = (now.velocity_world * direction).sum(dim=1)
-        self._way += along * self.dt
-        self._asked += self.command[:, :2].norm(dim=1) * self.dt
-        return speed, direction
-
-    def _step_state(self, now: Motion, last_action: Tensor, direction: Tensor) -> StepState:
-        # what only some rewards look at
-        edges = forces = heading = self._nothing
-        if "clearance" in self._weights:
-            near = self.terrain.heights.near_edge(self.sim.foot_position[..., :2].float())
-            edges = (self.contacts.touching & near).float()
-        if "stumble" in self._weights:
-            forces = self.contacts.foot_forces()
-        if "heading_tracking" in self._weights:
-            heading = self._heading_errors(now)[:, 0]
-        return StepState(
-            velocity=now.velocity,
-            rate=now.rate,
-            command=self.command,
-            q_error=now.q - self.body.stance_q,
-            joint_acceleration=(now.qd - self._last_qd) / self.dt,
-            action=self.action,
-            last_action=last_action,
-            torque=self.sim.torque.float(),
-            last_torque=self._last_torque,
-            landed_air_time=self.contacts.air_time,
-            landed=self.contacts.landed.float(),
-            colliding_links=self.contacts.colliding_links(),
-            specific_power=self.sim.positive_work.float() / self.dt / self.weight,
-            velocity_world=now.velocity_world,
-            goal_direction=direction,
-            heading_error=heading,
-            gravity=now.gravity,
-            edge_feet=edges,
-            foot_force=forces,
-        )
-
-    def _advance_goals(self, now: Motion) -> Tensor:
-        if self.goals is None:
-            return torch.zeros(self.num_envs, dtype=torch.bool, device=self.device)
-        self.goals.advance(now.position)
-        return self.goals.finished()
 
     def _fallen(self, now: Motion) -> Tensor:
         task = self.task
@@ -437,16 +378,12 @@ class LeggedEnv:
             kick = torch.rand(len(ids), 2, generator=self.generator, device=self.device) * 2 - 1
             self.sim.qvel[ids, :2] += (kick * random.push).to(self.sim.qvel.dtype)
 
-    def _steer(self, motion: Motion) -> None:
-        if self.goals is not None or self.task.command.heading:
-            self.commands.steer(self._heading_errors(motion)[:, 0])
-
     def _reset(self, ids: Tensor) -> None:
         origin, stance = self.curriculum.place(ids), self.body.stance_qpos[ids]
         qpos, qvel = start_state(stance, origin, self._ground, self.task.randomisation, self.generator)
         self.sim.set_state(ids, qpos, qvel)
-        self._last_qd[ids] = qvel[:, 6:].float()
-        for zeroed in (self.action, self._last_torque, self.episode_step, self._way, self._asked):
+        self.scoring.reset(ids, qvel[:, 6:].float())
+        for zeroed in (self.action, self.episode_step, self._way, self._asked):
             zeroed[ids] = 0
         self.contacts.reset(ids)
         self.commands.draw(ids)
@@ -456,10 +393,10 @@ class LeggedEnv:
             self._delay.reset(ids)
         if self.eyes is not None:
             self.eyes.reset(ids, qpos[:, :3].float(), qpos[:, 3:7].float())
-        self._steer(read_motion(self.sim))
+        self.guidance.steer(read_motion(self.sim))
 
 
-_STATE = ("action", "episode_step", "_last_qd", "_last_torque", "_way", "_asked", "_error", "_steps")
+_STATE = ("action", "episode_step", "_way", "_asked", "_error", "_steps")
 
 
 def _part(state: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:

@@ -33,8 +33,10 @@ class RayCaster:
     def __init__(self, ground: HeightGrid, reach: float, speed: float, steepest: float = 0.7) -> None:
         self._reach = reach
         self._cell = ground.cell
-        self._origin = torch.tensor((*ground.origin, 0.0), device=ground.device)
-        self._scale = torch.tensor((1.0 / ground.cell, 1.0 / ground.cell, 1.0), device=ground.device)
+        self._origin = torch.tensor((*ground.origin, 0.0), dtype=torch.float32, device=ground.device)
+        self._scale = torch.tensor(
+            (1.0 / ground.cell, 1.0 / ground.cell, 1.0), dtype=torch.float32, device=ground.device
+        )
         self._around = _Bounds(ground.heights, radius=math.ceil(reach * speed / ground.cell), stride=16)
         self._levels = [_Bounds(ground.heights, radius, stride) for radius, stride in ((4, 4), (1, 1))]
         self._step = 0.5 * ground.cell / speed
@@ -97,7 +99,7 @@ class RayCaster:
         width = hit.index_select(0, ids) - t
         for _ in range(_BISECTIONS):
             width *= 0.5
-            t.addcmul_(width, ~self._below(rays, t + width))
+            t += width * ~self._below(rays, t + width)
         return hit.index_copy_(0, ids, t + width)
 
     def _below(self, rays: Tensor, t: Tensor) -> Tensor:

@@ -1,0 +1,67 @@
+"""Where each robot is to go: a commanded velocity, a heading to keep, or the next waypoint of a course."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from locorl.env.commands import VelocityCommands
+from locorl.env.goals import Waypoints
+from locorl.env.kinematics import wrap, yaw_of
+from locorl.env.state import Motion
+
+EVERYONE = slice(None)
+
+
+class Guidance:
+    """Commands, and waypoints where the task has them.
+
+    Args:
+        commands: velocity commands; on a course, their first column is the speed to keep.
+        goals: waypoints, or None.
+    """
+
+    def __init__(self, commands: VelocityCommands, goals: Waypoints | None) -> None:
+        self.commands = commands
+        self.goals = goals
+        self._steers = goals is not None or commands.config.heading
+        num_envs, device = commands.command.shape[0], commands.command.device
+        self._nowhere = torch.zeros(1, 1, device=device)
+        self._nobody = torch.zeros(num_envs, dtype=torch.bool, device=device)
+
+    def speed(self, now: Motion) -> Tensor:
+        """Speed forward, or towards the next waypoint, (N,), m/s; the first column of the command asks for it."""
+        if self.goals is None:
+            return now.velocity[:, 0]
+        return (now.velocity_world * self.goals.direction(now.position)).sum(dim=1)
+
+    def progress(self, now: Motion) -> Tensor:
+        """Speed along the commanded way, sideways commands included, (N,), m/s."""
+        if self.goals is not None:
+            return self.speed(now)
+        asked = self.commands.command[:, :2]
+        return (now.velocity[:, :2] * asked).sum(dim=1) / torch.linalg.vector_norm(asked, dim=1).clamp(min=1e-6)
+
+    def direction(self, now: Motion) -> Tensor:
+        """Unit vector to the next waypoint, world, (N, 3); zero, to be broadcast, without waypoints."""
+        return self._nowhere if self.goals is None else self.goals.direction(now.position)
+
+    def heading_errors(self, now: Motion, rows: Tensor | slice = EVERYONE) -> Tensor:
+        """Yaw to the next waypoint and to the one after, or to the heading to keep, minus the robot's, (n, 2), rad."""
+        yaw = yaw_of(now.quat)
+        if self.goals is None:
+            error = wrap(self.commands.heading[rows] - yaw)
+            return torch.stack((error, error), dim=1)
+        return torch.stack([self.goals.heading_error(now.position, yaw, steps, rows) for steps in (0, 1)], dim=1)
+
+    def reach(self, now: Motion) -> Tensor:
+        """Count one control step towards the waypoints; robots that have reached their last one, (N,) bool."""
+        if self.goals is None:
+            return self._nobody
+        self.goals.advance(now.position)
+        return self.goals.finished()
+
+    def steer(self, now: Motion) -> None:
+        """Set the commanded yaw rates from the heading errors, where a heading or a waypoint gives them."""
+        if self._steers:
+            self.commands.steer(self.heading_errors(now)[:, 0])

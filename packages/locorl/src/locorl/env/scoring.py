@@ -1,0 +1,85 @@
+"""What a control step earned."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from locorl.env.contacts import Contacts
+from locorl.env.embodiment import Embodiment
+from locorl.env.guidance import Guidance
+from locorl.env.state import Motion, Stateful
+from locorl.rewards.config import RewardConfig
+from locorl.rewards.state import StepState
+from locorl.rewards.total import active_terms, total_reward
+from locorl.simulation.simulator import Simulator
+from locorl.terrain.heights import HeightGrid
+
+
+class Scoring(Stateful):
+    """Gathers what the reward terms look at, and remembers what they compare it with.
+
+    Args:
+        config: weights.
+        sim: the simulator.
+        ground: heights, for edges.
+        dt: control period, s.
+    """
+
+    _state = ("last_qd", "last_torque")
+
+    def __init__(self, config: RewardConfig, sim: Simulator, ground: HeightGrid, dt: float) -> None:
+        self.config, self._sim, self._ground, self._dt = config, sim, ground, dt
+        self._terms = active_terms(config)
+        self.last_qd, self.last_torque = (torch.zeros(sim.num_envs, 12, device=sim.device) for _ in range(2))
+        self._nothing = torch.zeros(1, 1, device=sim.device)
+
+    def reset(self, ids: Tensor, qd: Tensor) -> None:
+        """Robots `ids` (m,) start with joint velocities `qd` (m, 12), rad/s, and without torque."""
+        self.last_qd[ids] = qd
+        self.last_torque[ids] = 0.0
+
+    def reward(
+        self,
+        now: Motion,
+        body: Embodiment,
+        contacts: Contacts,
+        guidance: Guidance,
+        action: Tensor,
+        last_action: Tensor,
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """Reward of the step that led to `now`, (N,), and the share of each term, name -> (N,)."""
+        # what only some rewards look at
+        edges = forces = heading = self._nothing
+        if "clearance" in self._terms:
+            near = self._ground.near_edge(self._sim.foot_position[..., :2].float())
+            edges = (contacts.touching & near).float()
+        if "stumble" in self._terms:
+            forces = contacts.foot_forces()
+        if "heading_tracking" in self._terms:
+            heading = guidance.heading_errors(now)[:, 0]
+        torque = self._sim.torque.float()
+        state = StepState(
+            velocity=now.velocity,
+            rate=now.rate,
+            command=guidance.commands.command,
+            q_error=now.q - body.stance_q,
+            joint_acceleration=(now.qd - self.last_qd) / self._dt,
+            action=action,
+            last_action=last_action,
+            torque=torque,
+            last_torque=self.last_torque,
+            landed_air_time=contacts.air_time,
+            landed=contacts.landed.float(),
+            colliding_links=contacts.colliding_links(),
+            specific_power=self._sim.positive_work.float() / self._dt / body.weight,
+            velocity_world=now.velocity_world,
+            goal_direction=guidance.direction(now),
+            heading_error=heading,
+            gravity=now.gravity,
+            edge_feet=edges,
+            foot_force=forces,
+        )
+        result = total_reward(state, self.config, self._dt)
+        self.last_qd, self.last_torque = now.qd, torque
+        return result
