@@ -1,4 +1,4 @@
-"""The `locorl` command: train a generalist, fine-tune it to a body, evaluate it honestly."""
+"""The `locorl` command: train a generalist, fine-tune it to a body, evaluate it honestly, watch it."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from rich.markup import escape
 
 from locorl.commands.evaluate import Evaluate
 from locorl.commands.finetune import Finetune
+from locorl.commands.play import Play
+from locorl.commands.terrain import Terrain
 from locorl.commands.train import Train
 from locorl.learning.checkpoint import CheckpointError
 from locorl.learning.ppo import DivergedError
+from locorl.play.errors import PlayError
 
-Command = Train | Finetune | Evaluate
+Command = Train | Finetune | Evaluate | Play | Terrain
 
 
 def main() -> None:
@@ -22,9 +25,10 @@ def main() -> None:
     command: Command = tyro.cli(Command, description=__doc__)
     try:
         command.run()
-    except (CheckpointError, DivergedError, LookupError, ValueError, OSError) as error:
+    except (CheckpointError, DivergedError, PlayError, LookupError, ValueError, OSError) as error:
         rich.get_console().print(f"[red]error:[/red] {escape(str(error))}", highlight=False)
         sys.exit(1)
     except KeyboardInterrupt:
-        rich.print("\nstopped; the same command goes on from the last checkpoint")
+        hint = "; the same command goes on from the last checkpoint" if isinstance(command, Train | Finetune) else ""
+        rich.print(f"\nstopped{hint}")
         sys.exit(130)

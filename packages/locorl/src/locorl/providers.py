@@ -11,12 +11,17 @@ from locorl.bodies.designs import sample_designs
 from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import BodyFactory
 from locorl.learning.policy import Policy, load_policy
-from locorl.tasks.task import TaskConfig
+from locorl.tasks import Preset, make_task
 
 
 def is_file(robot: str) -> bool:
     """Whether a robot is given as the path of a URDF instead of a name."""
     return robot.lower().endswith(".urdf")
+
+
+def installed_robots() -> tuple[str, ...]:
+    """Names that `find_factory` knows, sorted."""
+    return tuple(sorted({point.name for point in entry_points(group="legged.bodies")} - {"urdf"}))
 
 
 def find_factory(robot: str) -> BodyFactory:
@@ -55,15 +60,20 @@ def load_teacher(path: Path) -> Policy:
 
 
 def make_env(
-    robot: str = "go2", num_envs: int = 256, design: tuple[float, ...] | None = None, seed: int = 0
+    robot: str = "go2",
+    num_envs: int = 256,
+    design: tuple[float, ...] | None = None,
+    seed: int = 0,
+    task: str = "locomotion-flat",
+    preset: Preset = "laptop",
 ) -> LeggedEnv:
-    """The locomotion environment (entry point group `legged.envs`): one body, or random ones without `design`.
+    """An environment of one of `locorl.tasks.TASKS` (entry point group `legged.envs`).
 
-    See `find_factory` for `robot`.
+    Robots have random bodies, or the one of `design`. See `find_factory` for `robot`, `make_task` for the rest.
     """
     factory = find_factory(robot)
     if design is None:
         designs = sample_designs(factory, num_envs, np.random.default_rng(seed))
     else:
         designs = np.tile(np.asarray(design, dtype=np.float64), (num_envs, 1))
-    return LeggedEnv(factory, designs, TaskConfig(), seed=seed)
+    return LeggedEnv(factory, designs, make_task(task, preset), seed=seed)

@@ -1,1 +1,1 @@
-"""Watching a policy on a task."""
+"""Watching a policy on a task, live in the browser or as a video."""
