@@ -17,10 +17,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 from locorl import CommandConfig, LeggedEnv, TaskConfig, no_randomisation
 from locorl.adapters.gymnasium import GymEnv, GymVectorEnv
-from locorl.env.observation import ObservationConfig
-from locorl.env.scan import ScanConfig
 from locorl.play.errors import PlayError
 from locorl.play.renderer import gl_context
+from locorl.tasks import make_task
 
 ID = "locorl/Legged-v0"
 STEPS = 12
@@ -35,13 +34,13 @@ CALM = replace(
 STRICT = replace(CALM, max_tilt=0.15, min_height=0.95)
 """The same where many robots count as fallen."""
 RICH = replace(
-    SHORT,
-    observation=ObservationConfig(history=3, scan=ScanConfig(spacing=0.5)),
+    make_task("parkour-highjump"),
+    episode_seconds=STEPS * 0.02,
     randomisation=replace(
         SHORT.randomisation, push=0.5, push_interval=0.06, action_delay=(0, 2), observation_noise=1.0
     ),
 )
-"""With scan, history, pushes, delays and noise."""
+"""With curriculum, waypoints, scan, pushes, delays and noise."""
 ENDLESS = replace(CALM, episode_seconds=1000.0, max_tilt=math.pi, min_height=-10.0, end_on_base_contact=False)
 """The same without any end of an episode."""
 
@@ -300,6 +299,7 @@ def test_registered(factory, designs):
     assert len(np.unique(sampled.unwrapped.env.bodies.designs, axis=0)) == 3
     env = gymnasium.make(ID, robot=factory, task=SHORT)
     assert_same(env.unwrapped.env.bodies.designs, factory.space.nominal[None])
+    assert gymnasium.make(ID, robot=factory, task="locomotion-steps").unwrapped.env.task.name == "locomotion-steps"
     env.reset(seed=0)
     ages = [env.step(np.zeros(12, dtype=np.float32))[3] for _ in range(STEPS)]
     assert ages == [False] * (STEPS - 1) + [True]

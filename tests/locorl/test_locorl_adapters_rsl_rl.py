@@ -118,13 +118,6 @@ def test_episode_ages_can_be_set(make_env):
     assert torch.equal(lasted, STEPS - ages)
 
 
-def test_seeds(make_env):
-    env = RslRlVecEnv(make_env(SHORT))
-    first, again, other = (env.reset(seed=seed) for seed in (1, 1, 2))
-    assert torch.equal(first["proprio"], again["proprio"])
-    assert not torch.equal(first["proprio"], other["proprio"])
-
-
 # ------------------------------------------------------------------------------------------ training
 
 
@@ -153,7 +146,7 @@ def test_runner_trains(train):
     for name, value in weights(runner).items():
         assert not torch.equal(value, runner.start[name]), name
     # what the runner did in inference mode binds nobody afterwards
-    env.reset()
+    env.env.reset()
     env.env.step(torch.zeros(8, 12))
     runner.learn(1, init_at_random_ep_len=True)
     assert len(runner.losses) == 4
@@ -263,7 +256,7 @@ def test_recurrent_policy_forgets_at_a_reset(make_env, tiny):
     config = rsl_rl_config(env, tiny.ppo, tiny.network)
     config["actor"] |= {"class_name": "RNNModel", "rnn_hidden_dim": 8, "rnn_num_layers": 1}
     actor = RslRlActor(OnPolicyRunner(env, config).get_inference_policy())
-    obs = env.reset(seed=0)
+    obs = env.get_observations()
     first = actor.act(obs)
     assert not torch.isclose(actor.act(obs), first).all(dim=1).any()
     actor.reset(torch.tensor([True] + [False] * 7))

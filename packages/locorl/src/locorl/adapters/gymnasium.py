@@ -6,7 +6,7 @@ Importing this module registers `locorl/Legged-v0`::
     import locorl.adapters.gymnasium
 
     env = gymnasium.make("locorl/Legged-v0", robot="go2")
-    envs = gymnasium.make_vec("locorl/Legged-v0", num_envs=64, robot="go2")
+    envs = gymnasium.make_vec("locorl/Legged-v0", num_envs=64, robot="lite3", task="parkour-highjump")
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from locorl.bodies.designs import sample_designs
 from locorl.env.legged_env import LeggedEnv, StepInfo
 from locorl.interfaces import Array, BodyFactory
 from locorl.providers import find_factory
-from locorl.tasks.task import TaskConfig
+from locorl.tasks import TaskConfig, make_task
 
 try:
     import gymnasium as gym
@@ -62,6 +62,7 @@ class GymVectorEnv(VectorEnv[Observation, Floats, NDArray[Any]]):
 
     def __init__(self, env: LeggedEnv, flat: bool = False) -> None:
         self.env, self.flat = env, flat
+        self._initial = env.state_dict()
         self.num_envs = env.num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         clip = env.task.action_clip
@@ -75,7 +76,7 @@ class GymVectorEnv(VectorEnv[Observation, Floats, NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start every robot afresh; with `seed`, the environment's random stream too.
+        """Start every robot afresh; with `seed`, all else too: random stream, curriculum, bodies.
 
         Raises:
             ValueError: `options` are given; there are none.
@@ -83,6 +84,8 @@ class GymVectorEnv(VectorEnv[Observation, Floats, NDArray[Any]]):
         if options:
             raise ValueError(f"LeggedEnv restarts all robots and knows no options, got {sorted(options)}")
         super().reset(seed=seed)
+        if seed is not None:
+            self.env.load_state_dict(self._initial)
         return self._numpy(self.env.reset(seed=seed)), {}
 
     def step(self, actions: Floats) -> tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]:
@@ -201,7 +204,7 @@ class GymEnv(gym.Env[Observation, Floats]):
 def make_env(
     robot: str | BodyFactory = "go2",
     design: Array | None = None,
-    task: TaskConfig | None = None,
+    task: str | TaskConfig = "locomotion-flat",
     seed: int = 0,
     flat: bool = False,
     render_mode: str | None = None,
@@ -211,12 +214,12 @@ def make_env(
     Args:
         robot: body factory, or what `locorl.providers.find_factory` takes.
         design: its body, (d,); nominal by default.
-        task: by default walking on flat ground; `stagger` is switched off.
+        task: configuration, or a name that `locorl.tasks.make_task` knows; `stagger` is switched off.
         seed: of friction and damping, and of everything else until a reset with a seed.
         flat: see `GymEnv`.
         render_mode: see `GymEnv`.
     """
-    factory, task = _resolve(robot), task or TaskConfig()
+    factory, task = _resolve(robot, task)
     task = replace(task, randomisation=replace(task.randomisation, stagger=False))
     designs = np.atleast_2d(factory.space.nominal if design is None else design)
     return GymEnv(LeggedEnv(factory, designs, task, seed=seed, threads=1), flat, render_mode)
@@ -226,7 +229,7 @@ def make_vector_env(
     num_envs: int,
     robot: str | BodyFactory = "go2",
     designs: Array | None = None,
-    task: TaskConfig | None = None,
+    task: str | TaskConfig = "locomotion-flat",
     seed: int = 0,
     flat: bool = False,
     threads: int | None = None,
@@ -237,7 +240,7 @@ def make_vector_env(
         num_envs: N.
         robot: body factory, or what `locorl.providers.find_factory` takes.
         designs: their bodies, (N, d); by default drawn uniformly from the design space.
-        task: by default walking on flat ground.
+        task: configuration, or a name that `locorl.tasks.make_task` knows.
         seed: of the bodies, of friction and damping, and of everything else until a reset with a seed.
         flat: see `GymVectorEnv`.
         threads: simulation threads; None takes every core.
@@ -245,16 +248,17 @@ def make_vector_env(
     Raises:
         ValueError: the number of designs is another one.
     """
-    factory = _resolve(robot)
+    factory, task = _resolve(robot, task)
     if designs is None:
         designs = sample_designs(factory, num_envs, np.random.default_rng(seed))
     if len(designs) != num_envs:
         raise ValueError(f"{len(designs)} designs for {num_envs} robots")
-    return GymVectorEnv(LeggedEnv(factory, designs, task or TaskConfig(), seed=seed, threads=threads), flat)
+    return GymVectorEnv(LeggedEnv(factory, designs, task, seed=seed, threads=threads), flat)
 
 
-def _resolve(robot: str | BodyFactory) -> BodyFactory:
-    return find_factory(robot) if isinstance(robot, str) else robot
+def _resolve(robot: str | BodyFactory, task: str | TaskConfig) -> tuple[BodyFactory, TaskConfig]:
+    factory = find_factory(robot) if isinstance(robot, str) else robot
+    return factory, make_task(task) if isinstance(task, str) else task
 
 
 def _unbounded(size: int) -> gym.spaces.Box:

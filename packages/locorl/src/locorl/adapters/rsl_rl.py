@@ -57,15 +57,9 @@ class RslRlVecEnv(VecEnv):
     def episode_length_buf(self, steps: Tensor) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
         self.env.episode_step[:] = steps
 
-    def reset(self, seed: int | None = None) -> TensorDict:
-        """Start every robot afresh; with `seed`, the environment's random stream too."""
-        self._obs = self.env.reset(seed=seed)
-        return self.get_observations()
-
     def get_observations(self) -> TensorDict:
         """The present observation, group -> (N, dim)."""
-        # rsl_rl keeps it until after the next step, and some tensors of the environment are live
-        return TensorDict({group: values.clone() for group, values in self._obs.items()}, batch_size=[self.num_envs])
+        return TensorDict(dict(self._obs), batch_size=[self.num_envs])
 
     def step(self, actions: Tensor) -> tuple[TensorDict, Tensor, Tensor, dict[str, Any]]:
         """Advance one control period with `actions` (N, 12); see `rsl_rl.env.VecEnv.step`."""
