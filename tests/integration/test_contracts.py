@@ -128,7 +128,7 @@ def test_observation_is_the_same(go2: BodyFactory, design: np.ndarray, bundle: d
     env.sim.set_state(torch.arange(n), torch.from_numpy(qpos), torch.from_numpy(qvel))
     env.command[:] = torch.from_numpy(rng.uniform(-1, 1, (n, 3)))
     env.action[:] = torch.from_numpy(rng.normal(size=(n, 12)))
-    proprio = env.load_state_dict(env.state_dict())["proprio"].numpy()
+    proprio = env.observe()["proprio"].numpy()
 
     builder = ObservationBuilder(bundle)
     assert proprio.shape[1] == bundle.observation_size

@@ -1,9 +1,14 @@
 """locorl: simulate thousands of different legged bodies at once and train one policy for all of them."""
 
-from locorl.bodies.designs import design_grid, feasible, repeat_design, sample_designs
+from locorl.bodies.designs import design_grid, feasible, repeat_design, sample_designs, sobol_designs
+from locorl.bodies.samplers import MorphologyConfig, MorphologySampler, make_sampler
 from locorl.env.commands import CommandConfig
+from locorl.env.depth_camera import DepthCamera, DepthConfig
+from locorl.env.goals import GoalConfig
 from locorl.env.legged_env import LeggedEnv, StepInfo
+from locorl.env.observation import ObservationConfig
 from locorl.env.randomisation import RandomisationConfig, no_randomisation
+from locorl.env.scan import ScanConfig
 from locorl.learning.checkpoint import CheckpointError
 from locorl.learning.evaluate import EvalConfig, Evaluation, evaluate
 from locorl.learning.finetune import FinetuneConfig, Finetuned, finetune
@@ -12,29 +17,46 @@ from locorl.learning.policy import Policy, PolicyCard, load_policy
 from locorl.learning.ppo import PPO, DivergedError, PPOConfig
 from locorl.learning.train import TrainConfig, Trainer
 from locorl.rewards.config import RewardConfig, released_code, table_i
+from locorl.simulation.make import SimulatorConfig
 from locorl.simulation.scene import PhysicsConfig, flat_scene
-from locorl.tasks.task import TaskConfig
+from locorl.simulation.simulator import Simulator
+from locorl.tasks import TASKS, TaskConfig, make_task
+from locorl.terrain.curriculum import CurriculumConfig
+from locorl.terrain.map import TerrainConfig, TerrainMap
 
 __all__ = [
     "PPO",
+    "TASKS",
     "ActorCritic",
     "CheckpointError",
     "CommandConfig",
+    "CurriculumConfig",
+    "DepthCamera",
+    "DepthConfig",
     "DivergedError",
     "EvalConfig",
     "Evaluation",
     "FinetuneConfig",
     "Finetuned",
+    "GoalConfig",
     "LeggedEnv",
+    "MorphologyConfig",
+    "MorphologySampler",
     "NetworkConfig",
+    "ObservationConfig",
     "PPOConfig",
     "PhysicsConfig",
     "Policy",
     "PolicyCard",
     "RandomisationConfig",
     "RewardConfig",
+    "ScanConfig",
+    "Simulator",
+    "SimulatorConfig",
     "StepInfo",
     "TaskConfig",
+    "TerrainConfig",
+    "TerrainMap",
     "TrainConfig",
     "Trainer",
     "design_grid",
@@ -43,9 +65,12 @@ __all__ = [
     "finetune",
     "flat_scene",
     "load_policy",
+    "make_sampler",
+    "make_task",
     "no_randomisation",
     "released_code",
     "repeat_design",
     "sample_designs",
+    "sobol_designs",
     "table_i",
 ]

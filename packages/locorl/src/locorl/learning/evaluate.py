@@ -115,20 +115,18 @@ def evaluate(
     config = config or EvalConfig()
     designs = np.asarray(designs, dtype=np.float64)
     bodies, robots = len(designs), config.robots_per_body
-    task = replace(
-        task,
-        episode_seconds=2 * config.seconds,  # the episode never ends by time within the evaluation
-        command=CommandConfig(config.vx, (0.0, 0.0), (0.0, 0.0), hold=2 * config.seconds, standing=0.0),
-        randomisation=replace(
-            no_randomisation(), reset_joint=config.reset_joint, reset_yaw=task.randomisation.reset_yaw
-        ),
-    )
+    command = CommandConfig(config.vx, (0.0, 0.0), (0.0, 0.0), hold=2 * config.seconds, standing=0.0)
+    if task.goals is not None:  # the way to the next waypoint needs turning
+        command = replace(command, yaw_rate=task.command.yaw_rate, heading_gain=task.command.heading_gain)
+    calm = replace(no_randomisation(), reset_joint=config.reset_joint, reset_yaw=task.randomisation.reset_yaw)
+    # the episode never ends by time within the evaluation
+    task = replace(task, episode_seconds=2 * config.seconds, command=command, randomisation=calm)
     env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
     steps = round(config.seconds / env.dt)
     settle = round(config.settle / env.dt)
     obs = env.reset(seed=config.seed)
     actor.reset()
-    command = env.command[:, 0].clone()
+    asked = env.command[:, 0].clone()
 
     alive = torch.ones(env.num_envs, dtype=torch.bool)
     returns, error, way, work = (torch.zeros(env.num_envs, dtype=torch.float64) for _ in range(4))
@@ -143,7 +141,7 @@ def evaluate(
         way += moved
         work += spent
         if step >= settle:
-            error += torch.where(alive, info.tracking_error, command.abs())
+            error += torch.where(alive, info.tracking_error, asked.abs())
             settled_way += moved
             settled_work += spent
             settled_steps += alive
@@ -156,7 +154,7 @@ def evaluate(
     return Evaluation(
         designs=designs,
         config=config,
-        command=shape(command),
+        command=shape(asked),
         weight=shape(weight),
         survived=alive.numpy().reshape(bodies, robots),
         returns=shape(returns),
