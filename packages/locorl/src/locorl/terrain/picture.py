@@ -49,13 +49,16 @@ def save_picture(maps: Sequence[TerrainMap], path: Path) -> None:
     """
     heights = [_row_height(terrain) for terrain in maps]
     figure = Figure((_WIDTH, sum(heights)), facecolor="white", dpi=110)
-    rows = np.atleast_1d(np.array(figure.subfigures(len(maps), 1, height_ratios=heights), dtype=object))
-    for row, terrain in zip(rows, maps, strict=True):
+    rows = figure.subfigures(len(maps), 1, squeeze=False, height_ratios=heights)
+    for row, terrain in zip(rows[:, 0], maps, strict=True):
         _draw_row(row, terrain)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.part")
-    figure.savefig(temporary, format="png")
-    temporary.replace(path)
+    try:
+        figure.savefig(temporary, format="png")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def render(terrain: TerrainMap, level: int, column: int, width: int = 800, height: int = 500) -> Frame:
@@ -74,6 +77,7 @@ def render(terrain: TerrainMap, level: int, column: int, width: int = 800, heigh
         middle += 0.33 * (course[-1] - middle)
     reach = 0.6 * terrain.tile_length if len(course) else max(terrain.tile_length, terrain.tile_width)
     _light(model, middle, reach)
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
 
     option, camera = mujoco.MjvOption(), mujoco.MjvCamera()
     camera.lookat[:] = middle
@@ -103,9 +107,8 @@ def render(terrain: TerrainMap, level: int, column: int, width: int = 800, heigh
 
 def _light(model: mujoco.MjModel, middle: np.ndarray, reach: float) -> None:
     settings = model.vis
-    settings.global_.offwidth, settings.global_.offheight = 4096, 4096
     settings.global_.fovy = 40.0
-    settings.quality.shadowsize, settings.quality.offsamples = 4096, 8
+    settings.quality.shadowsize, settings.quality.offsamples = 2048, 4
     settings.headlight.ambient[:], settings.headlight.diffuse[:], settings.headlight.specular[:] = 0.42, 0.18, 0.0
     model.light_ambient[:], model.light_diffuse[:], model.light_specular[:] = 0.0, 0.6, 0.0
     model.light_dir[:] = _SUN / np.linalg.norm(_SUN)
@@ -143,7 +146,7 @@ def _row_height(terrain: TerrainMap) -> float:
 def _draw_row(figure: SubFigure, terrain: TerrainMap) -> None:
     count = len(terrain.difficulty)
     levels = sorted({0, count // 2, count - 1})
-    left, right = figure.subfigures(1, 2, width_ratios=(_LEFT, 1 - _LEFT))
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(_LEFT, 1 - _LEFT))[0]
     long = terrain.tile_length > 2 * terrain.tile_width
     axes = left.subplots(*((len(levels), 1) if long else (1, len(levels))), squeeze=False).ravel()
     left.subplots_adjust(left=0.07, right=0.98, top=0.84 if long else 0.86, bottom=0.08, hspace=0.42, wspace=0.2)
