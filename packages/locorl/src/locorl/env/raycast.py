@@ -10,15 +10,21 @@ from torch.nn.functional import max_pool2d, pad
 
 from locorl.terrain.heights import HeightGrid
 
-_SPLIT = 4
+_PIECES = (8, 2, 1)
+"""Length of the pieces that rays are cut into, cells."""
+_STRIDES = (4, 1)
+"""Spacing of the bounds for all but the shortest pieces, cells."""
 _BISECTIONS = 8
+_HAIR = 1e-3
+"""How far before a face a ray is looked at, cells."""
 
 
 class RayCaster:
     """First hits of rays on a height grid, by bounds over ever shorter pieces of the rays.
 
-    A piece above all heights around it is free, one below all of them is past the hit; what remains is split
-    until a piece advances by half a cell. The first of those that ends below the ground is bisected.
+    A piece above all heights around it is free, one below all of them is past the hit; what remains is cut further.
+    The shortest are looked at where they leave the square around a node and at their ends; the first place below the
+    ground is bisected, down to 0.2 mm for a cell of 5 cm.
 
     Neighbouring nodes that differ by a slope of more than `steepest` are the two sides of a vertical face halfway
     between them; others are joined by bilinear interpolation. Steps keep their edges and hills stay smooth.
@@ -31,19 +37,19 @@ class RayCaster:
     """
 
     def __init__(self, ground: HeightGrid, reach: float, speed: float, steepest: float = 0.7) -> None:
+        heights, cell = ground.heights, ground.cell
         self._reach = reach
-        self._cell = ground.cell
-        self._origin = torch.tensor((*ground.origin, 0.0), dtype=torch.float32, device=ground.device)
-        self._scale = torch.tensor(
-            (1.0 / ground.cell, 1.0 / ground.cell, 1.0), dtype=torch.float32, device=ground.device
-        )
-        self._around = _Bounds(ground.heights, radius=math.ceil(reach * speed / ground.cell), stride=16)
-        self._levels = [_Bounds(ground.heights, radius, stride) for radius, stride in ((4, 4), (1, 1))]
-        self._step = 0.5 * ground.cell / speed
-        self._split = torch.arange(_SPLIT, device=ground.device)
+        self._cell = cell / speed
+        self._origin = torch.tensor((*ground.origin, 0.0), dtype=torch.float32, device=heights.device)
+        self._scale = torch.tensor((1.0 / cell, 1.0 / cell, 1.0), dtype=torch.float32, device=heights.device)
+        self._around = _Bounds(heights, radius=math.ceil(reach * speed / cell), stride=16)
+        self._levels = [
+            _Bounds(heights, radius=piece // 2, stride=stride)
+            for piece, stride in zip(_PIECES[:-1], _STRIDES, strict=True)
+        ]
         self._shape = ground.shape
-        self._heights = ground.heights.reshape(-1)
-        self._face = _faces(ground.heights, steepest * ground.cell).reshape(-1).float()
+        self._heights = heights.reshape(-1)
+        self._face = _faces(heights, steepest * cell).reshape(-1).float()
 
     def cast(self, origin: Tensor, direction: Tensor) -> Tensor:
         """The ray parameter of the first hit.
@@ -57,10 +63,10 @@ class RayCaster:
             `reach`; (n, P).
         """
         origin, direction = (origin - self._origin) * self._scale, direction * self._scale
+        # a hair off the axes spares rays along them a case of their own
+        direction = torch.where(direction.abs() < 1e-6, torch.full_like(direction, -1e-6), direction)
         low, high = self._around.at(origin[:, 0], origin[:, 1])
         z, dz = origin[:, 2:], direction[..., 2]
-        # a level ray is tilted by a hair, which spares it a case of its own
-        dz = torch.where(dz.abs() < 1e-6, torch.full_like(dz, -1e-6), dz)
         to_low, to_high = (low[:, None] - z) / dz, (high[:, None] - z) / dz
         start, stop = torch.minimum(to_low, to_high).clamp_(min=0.0), torch.maximum(to_low, to_high)
         hit = torch.where((dz < 0) & (stop <= self._reach), stop.clamp(min=0.0), torch.inf).view(-1)
@@ -68,16 +74,16 @@ class RayCaster:
         open_ = (start < stop).view(-1).nonzero().squeeze(1)
         rays = torch.cat((origin[:, None].expand_as(direction), direction), dim=2).view(-1, 6)[open_]
         hit[open_] = self._search(rays, start.view(-1)[open_], stop.view(-1)[open_], hit[open_])
-        return hit.view_as(dz)
+        return hit.masked_fill_(hit > self._reach, torch.inf).view_as(dz)
 
     def _search(self, rays: Tensor, start: Tensor, stop: Tensor, hit: Tensor) -> Tensor:
         """First hits (R,) of `rays` (R, 6) between `start` and `stop` (R,), given upper bounds `hit` (R,)."""
-        length = self._step * _SPLIT ** len(self._levels)
+        length = self._cell * _PIECES[0]
         count = ((stop - start) / length).ceil_().long()
         ray = torch.arange(len(count), device=count.device).repeat_interleave(count)
         order = torch.arange(len(ray), device=ray.device) - (count.cumsum(0) - count).index_select(0, ray)
         t = torch.add(start.index_select(0, ray), order, alpha=length)
-        for level in self._levels:
+        for level, piece, shorter in zip(self._levels, _PIECES[:-1], _PIECES[1:], strict=True):
             row = rays.index_select(0, ray)
             x, y, z = torch.addcmul(row[:, :3], t[:, None] + 0.5 * length, row[:, 3:]).unbind(1)
             low, high = level.at(x, y)
@@ -85,15 +91,17 @@ class RayCaster:
             past = (z + slack < low).nonzero().squeeze(1)
             hit.scatter_reduce_(0, ray.index_select(0, past), t.index_select(0, past), "amin")
             keep = ((z - slack <= high) & (t < hit.index_select(0, ray))).nonzero().squeeze(1)
-            length /= _SPLIT
-            ray = ray.index_select(0, keep).repeat_interleave(_SPLIT)
-            t = (t.index_select(0, keep)[:, None] + length * self._split).view(-1)
-        t += length
-        below = self._below(rays.index_select(0, ray), t).nonzero().squeeze(1)
-        hit.scatter_reduce_(0, ray.index_select(0, below), t.index_select(0, below), "amin")
+            length, parts = self._cell * shorter, piece // shorter
+            ray = ray.index_select(0, keep).repeat_interleave(parts)
+            t = (t.index_select(0, keep)[:, None] + length * torch.arange(parts, device=t.device)).view(-1)
+        row = rays.index_select(0, ray)
+        for stop in (*_leaving(row, t, length).unbind(1), t + length):
+            below = self._below(row, stop).nonzero().squeeze(1)
+            hit.scatter_reduce_(0, ray.index_select(0, below), stop.index_select(0, below), "amin")
         return self._bisect(rays, torch.maximum(start, hit - length), hit)
 
     def _bisect(self, rays: Tensor, above: Tensor, hit: Tensor) -> Tensor:
+        """Hits (R,) of `rays` (R, 6) between `above` the ground and `hit` (R,) below it or infinite."""
         ids = hit.isfinite().nonzero().squeeze(1)
         rays, t = rays.index_select(0, ids), above.index_select(0, ids)
         width = hit.index_select(0, ids) - t
@@ -153,3 +161,14 @@ def _faces(heights: Tensor, step: float) -> Tensor:
     along_y = heights.diff(dim=1).abs() > step
     face[:-1, :-1] = along_x[:, :-1] | along_x[:, 1:] | along_y[:-1] | along_y[1:]
     return face
+
+
+def _leaving(rays: Tensor, t: Tensor, length: float) -> Tensor:
+    """Where pieces of `rays` (R, 6) at `t` (R,) leave the square around a node, along x and along y, (R, 2).
+
+    It is a hair on the lower side of the face between the squares, where a ray that clips a corner is below it.
+    """
+    place, speed = torch.addcmul(rays[:, :2], t[:, None], rays[:, 3:5]), rays[:, 3:5]
+    side = speed.sign()
+    face = (place + 0.5).floor_() + 0.5 * side + (_HAIR * side) * rays[:, 5:].sign()
+    return t[:, None] + ((face - place) / speed).clamp_(0.0, length)
