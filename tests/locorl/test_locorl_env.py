@@ -122,7 +122,7 @@ def test_a_time_out_resets_and_hands_over_the_last_observation(make_env):
         assert not terminated.any()
         assert truncated.tolist() == [t == 10] * 8
         if t == 10:
-            assert info.truncated_ids.tolist() == list(range(8))
+            assert info.done_ids.tolist() == list(range(8))
             for group, values in expected.items():
                 assert torch.equal(info.final_obs[group], values), group
             # the returned one belongs to a robot that stands and has not acted
@@ -130,7 +130,7 @@ def test_a_time_out_resets_and_hands_over_the_last_observation(make_env):
             assert obs["proprio"][:, short.layout.column("proprio", "last_action")].abs().max() == 0.0
             assert torch.allclose(short.sim.qpos, short.stance_qpos)
         else:
-            assert len(info.truncated_ids) == 0
+            assert len(info.done_ids) == 0
     assert short.episode_step.tolist() == [1] * 8
 
 

@@ -37,8 +37,9 @@ class StepInfo(NamedTuple):
     """What a step tells besides observation, reward and ends.
 
     Attributes:
-        truncated_ids: robots whose episode was cut by time in this step, or that finished their course, (m,).
-        final_obs: their last observation of that episode, group -> (m, dim); the bootstrap needs it.
+        done_ids: robots whose episode ended in this step, (m,), ascending.
+        final_obs: their last observation of that episode, group -> (m, dim); where it was truncated, the bootstrap
+            needs it.
         reward_terms: mean over robots of each weighted reward term, name -> ().
         tracking_error: |v - command| along the commanded way, (N,), m/s: forward, or towards the next waypoint.
         positive_work: positive joint work in this step, (N,), J.
@@ -48,7 +49,7 @@ class StepInfo(NamedTuple):
         success: robots that reached their last waypoint in this step, (N,) bool.
     """
 
-    truncated_ids: Tensor
+    done_ids: Tensor
     final_obs: Obs
     reward_terms: dict[str, Tensor]
     tracking_error: Tensor
@@ -63,7 +64,7 @@ class LeggedEnv:
     """N robots, each with a body of its own, on one shared terrain.
 
     `step` resets finished robots by itself: the observation that it returns belongs to the new episode
-    wherever `terminated | truncated`, and `StepInfo.final_obs` keeps the last one of a truncated episode.
+    wherever `terminated | truncated`, and `StepInfo.final_obs` keeps the last one of the old.
     See `layout` for the terms, units, frames and scales of the observation groups.
 
     Args:
@@ -131,6 +132,7 @@ class LeggedEnv:
         self._tile_generator = torch.Generator(device).manual_seed(seed)
         self.curriculum = Curriculum(task.curriculum, self.terrain, n, self._tile_generator, self.body.stance_height)
         self._stand()
+        self._fresh = {name: part.state_dict() for name, part in self._parts().items()}
 
     # ------------------------------------------------------------------ public
 
@@ -186,9 +188,17 @@ class LeggedEnv:
         return self._error / max(1, int(self._steps))
 
     def reset(self, seed: int | None = None) -> Obs:
-        """Start every robot afresh; with `seed`, the random stream too. Returns the observation."""
+        """Start every robot afresh. Returns the observation.
+
+        With `seed` everything that episodes have changed starts afresh too, the curriculum included: equal seeds
+        give equal rollouts.
+        """
         if seed is not None:
             self.generator.manual_seed(seed)
+            self._tile_generator.manual_seed(seed)
+            for name, part in self._parts().items():
+                part.load_state_dict(self._fresh[name])
+            self.curriculum.set_hip_heights(self.body.stance_height)
         everyone = torch.arange(self.num_envs, device=self.device)
         self._reset(everyone)
         if self.task.randomisation.stagger:
@@ -237,9 +247,8 @@ class LeggedEnv:
         self.guidance.steer(seen.motion)
         self.observer.advance(seen)
         obs = self.observer.observe(seen)
-        truncated_ids = truncated.nonzero().flatten()
-        final_obs = {group: values[truncated_ids] for group, values in obs.items()}
         done = (terminated | truncated).nonzero().flatten()
+        final_obs = {group: values[done] for group, values in obs.items()}
         if len(done):
             asked = self._asked + self.command[:, :2].norm(dim=1) * self.dt * (task.episode_steps - self.episode_step)
             self.curriculum.update(done, self._way[done], asked[done], success[done])
@@ -251,7 +260,7 @@ class LeggedEnv:
             self.eyes.step(self.sim.qpos[:, :3].float(), self.sim.qpos[:, 3:7].float())
         self._obs = obs
         info = StepInfo(
-            truncated_ids=truncated_ids,
+            done_ids=done,
             final_obs=final_obs,
             reward_terms=dict(zip(terms, torch.stack(tuple(terms.values())).mean(dim=1), strict=True)),
             tracking_error=error,

@@ -103,8 +103,8 @@ class PPO:
             current, reward, terminated, truncated, info = env.step(action)
             rollout.reward[t] = reward
             rollout.terminated[t], rollout.done[t] = terminated, terminated | truncated
-            if len(info.truncated_ids):
-                rollout.next_value[t, info.truncated_ids] = self.model.value(info.final_obs)
+            if len(info.done_ids):
+                rollout.next_value[t, info.done_ids] = self.model.value(info.final_obs)
             stats.add(reward, terminated, truncated, info.tracking_error, info.reward_terms, info.diverged)
         # V(s_(t+1)) is the next row's value, except where an episode was cut by time in between
         following = torch.cat((rollout.value[1:], self.model.value(current)[None]))

@@ -87,9 +87,9 @@ def _locomotion(name: str, preset: Preset) -> TaskConfig:
             randomisation=_PAPER_RANDOMISATION,
             physics=_PAPER_PHYSICS,
         )
-    task = TaskConfig(name=name, terrain=terrain)
     if name == "locomotion-flat":
-        return task
+        return TaskConfig()
+    task = TaskConfig(name=name, terrain=terrain)
     return replace(
         task,
         # the ground under the base jumps by a step's height
