@@ -54,6 +54,19 @@ def test_every_body_moves_as_its_own_compiled_model(factory, designs, sim):
     assert np.ptp(sim.qpos[:, 2].numpy()) > 0.01
 
 
+def test_the_batch_steps_each_model_to_the_bit(sim):
+    single = [(sim.model_of(i), sim.data_of(i)) for i in range(8)]
+    for ctrl in targets(sim, 20):
+        sim.ctrl[:] = torch.from_numpy(ctrl)
+        sim.step()
+        for i, (model, data) in enumerate(single):
+            data.ctrl[:] = ctrl[i]
+            mujoco.mj_step(model, data, nstep=PHYSICS.substeps)
+    np.testing.assert_array_equal(sim.qpos.numpy(), [data.qpos for _, data in single])
+    np.testing.assert_array_equal(sim.qvel.numpy(), [data.qvel for _, data in single])
+    np.testing.assert_array_equal(sim.sensors.numpy(), [data.sensordata for _, data in single])
+
+
 def test_positive_work_is_summed_at_every_physics_step(factory, designs, sim):
     data = compiled(factory, designs, sim)
     for ctrl in targets(sim, 20):
@@ -104,28 +117,6 @@ def test_set_state_touches_only_its_robots_and_forgets_warm_starts(factory, desi
         np.testing.assert_allclose(sim.qpos[i].numpy(), one.qpos, atol=1e-12)
 
 
-def test_a_saved_state_steps_on_bit_identically(factory, designs, sim):
-    plan = torch.from_numpy(targets(sim, 15))
-    for ctrl in plan[:5]:
-        sim.ctrl[:] = ctrl
-        sim.step()
-    saved = sim.state_dict()
-    other = CpuSimulator(factory.batch(designs, flat_scene(PHYSICS)), PHYSICS.substeps, threads=2)
-    other.load_state_dict(saved)
-    for ctrl in plan[5:]:
-        for each in (sim, other):
-            each.ctrl[:] = ctrl
-            each.step()
-        for name in ("qpos", "qvel", "torque", "sensors", "positive_work"):
-            assert torch.equal(getattr(sim, name), getattr(other, name)), name
-
-
-def test_a_state_of_other_robots_is_refused(factory, designs, sim):
-    other = CpuSimulator(factory.batch(designs[:3], flat_scene(PHYSICS)), PHYSICS.substeps, threads=1)
-    with pytest.raises(ValueError, match="another number of robots"):
-        other.load_state_dict(sim.state_dict())
-
-
 @pytest.mark.parametrize("poison", [1e20, float("nan")])
 def test_a_failing_simulation_is_flagged_each_time_and_harms_no_other(sim, poison, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # MuJoCo logs the failure into the working folder
@@ -148,3 +139,36 @@ def test_centre_of_mass_is_the_mass_weighted_mean_of_the_links(factory, designs,
         mujoco.mj_forward(model, data)
         mean = (model.body_mass[1:, None] * data.xipos[1:]).sum(axis=0) / model.body_mass[1:].sum()
         np.testing.assert_allclose(centre, mean - data.body("base").xpos, atol=1e-12)
+
+
+@pytest.mark.parametrize(("memory", "full"), [(30_000, ("contacts", "constraints")), (60_000, ("constraints",))])
+def test_a_full_arena_is_counted_by_robot_and_control_period(factory, designs, memory, full, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs the warning into the working folder
+    scene = flat_scene(PHYSICS)
+    scene.memory = memory
+    bodies = factory.batch(designs[:3], scene)
+    sim = CpuSimulator(bodies, PHYSICS.substeps, threads=1)
+    qpos = torch.from_numpy(bodies.stance_qpos.copy())
+    qpos[:2, 2] = 0.02  # two robots lie in the floor, one hangs in the air
+    qpos[2, 2] = 1.0
+    sim.set_state(torch.arange(3), qpos, torch.zeros(3, 18))
+    for periods in (1, 2):
+        sim.step()
+        assert sim.overflows["constraints"] == 2 * periods
+        assert (sim.overflows["contacts"] > 0) == ("contacts" in full)
+    assert sim.diverged.tolist() == [False] * 3
+    sim.set_state(torch.arange(3), qpos + torch.tensor([0, 0, 1.0, *[0] * 16]), torch.zeros(3, 18))
+    sim.step()
+    assert sim.overflows["constraints"] == 4  # in the air nothing new
+
+
+def test_threads_do_not_change_the_bits(factory, designs, sim):
+    bodies = factory.batch(designs, flat_scene(PHYSICS))
+    one, other = (CpuSimulator(bodies, PHYSICS.substeps, threads=threads) for threads in (1, 3))
+    plan = targets(sim, 10)
+    for each in (one, other):
+        each.set_state(torch.arange(8), torch.from_numpy(bodies.stance_qpos), torch.zeros(8, 18))
+        for ctrl in plan:
+            each.ctrl[:] = torch.from_numpy(ctrl)
+            each.step()
+    assert torch.equal(one.qvel, other.qvel)

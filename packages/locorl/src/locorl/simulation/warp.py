@@ -73,7 +73,7 @@ class WarpSimulator(Simulator):
         extra_fields: Mapping[str, Array] | None = None,
         device: str = "cuda",
         feet: Sequence[str] = (),
-        contacts: int = 48,
+        contacts: int = 64,
     ) -> None:
         self.num_envs = len(bodies.designs)
         self.device, self._place = _find_device(device)
@@ -86,7 +86,7 @@ class WarpSimulator(Simulator):
         _check_fields(fields)
         self._host = batch_of(self.model, self.num_envs, available_cores(), fields)
         self._graph: wp.Graph | None = None
-        self._batched: set[str] = set()
+        self._batched: set[str] | None = None
         with wp.ScopedDevice(self._place):
             self._upload()
             self._data = data = mjw.make_data(
@@ -118,7 +118,7 @@ class WarpSimulator(Simulator):
         """Copy the host's per-simulation fields, derived ones included, into Warp's model."""
         fields = {name: self._host.expanded(name) for name in sorted(MODEL_FIELDS & _PER_WORLD)}
         fields = {name: values for name, values in fields.items() if values is not None}
-        if not self._batched.issuperset(fields):
+        if self._batched is None or not self._batched.issuperset(fields):
             self._batched = set(fields)
             self._model = mjw.put_model(_for_warp(self.model), batch_sizes=dict.fromkeys(fields, self.num_envs))
             self._model.opt.warn_overflow = 0  # counted by us, not printed at each step
