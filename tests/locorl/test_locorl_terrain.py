@@ -239,9 +239,9 @@ def test_dimensions_of_slopes(kind, sign):
     world = scene(kind, levels=2)
     assert np.ptp(world.height(*world.tile_points(0, 0, 100).T)) < 1e-6  # difficulty 0 is level
     x, y, z = world.terrain.origins[1, 1].tolist()
-    assert z == pytest.approx(-sign * 0.4 * 2.5, abs=1e-5)
-    out = world.height(x + np.array([0.0, 1.4, 2.0, 3.0, 4.0]), y)
-    np.testing.assert_allclose(out - z, sign * 0.4 * np.array([0, 0, 0.5, 1.5, 2.5]), atol=1e-5)
+    assert z == pytest.approx(-sign * 0.4 * 2.4, abs=1e-5)
+    out = world.height(x + np.array([0.0, 1.5, 2.0, 3.0, 4.0]), y)
+    np.testing.assert_allclose(out - z, sign * 0.4 * np.array([0, 0, 0.4, 1.4, 2.4]), atol=1e-5)
 
 
 def test_dimensions_of_hills():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import rich
+import tyro
 from rich.table import Table
 
 from locorl.terrain.kinds import COURSES, KINDS
@@ -21,7 +23,7 @@ class Terrain:
     """Kinds to show; each has a map of its own."""
     show: bool = False
     """Draw a picture, which needs the extra `play`, instead of a table."""
-    output: Path = Path("terrain.png")
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("terrain.png")
     """Where the picture goes."""
     levels: int = 10
     """Levels of difficulty; the picture has the first, the middle and the last."""

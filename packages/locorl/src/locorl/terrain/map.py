@@ -43,8 +43,9 @@ class TerrainConfig:
     """Difficulty of the first and of the last level; above 1 it goes on beyond the training range."""
     cell: float = 0.05
     """Spacing of the height grid that scans and cameras read, m."""
-    relief_cell: float = 0.1
-    """Spacing of the height field that the physics walks on, m; only maps with relief have one."""
+    relief_cell: float = 0.2
+    """Spacing of the height field that the physics walks on, m; only maps with relief have one, and at half the
+    spacing it costs half as much again."""
     border: float = 50.0
     """Level ground around the tiles, m."""
     seed: int = 0
@@ -181,7 +182,7 @@ class TerrainMap:
             conaffinity=1,
         )
         colours = _blend(field.nodes.T, (min(low, -1e-3), 0.0, max(high, 1e-3)), (_DEEP, _LEVEL, _HIGH))
-        colours[np.add.outer(*(np.arange(count) // 10 for count in field.nodes.T.shape)) % 2 == 0] *= 0.93
+        colours[np.add.outer(*(np.arange(count) // 5 for count in field.nodes.T.shape)) % 2 == 0] *= 0.93
         spec.add_texture(
             name="terrain",
             type=mujoco.mjtTexture.mjTEXTURE_2D,

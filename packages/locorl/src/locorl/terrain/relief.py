@@ -7,7 +7,7 @@ import numpy as np
 from locorl.interfaces import Array
 from locorl.terrain.tile import Relief, Tile, TileSize, either, middle
 
-PLATFORM = 1.5
+PLATFORM = 1.6
 """Half the side of the level square in the middle of a slope, m."""
 
 
