@@ -50,6 +50,9 @@ format: install
 
 bench: install
 	$(BIN)/python benchmarks/env_overhead.py
+	$(BIN)/python benchmarks/simulators.py $(if $(MJX),--mjx $(MJX))
+	$(BIN)/python benchmarks/morphology_dr.py
+	$(BIN)/python benchmarks/memory.py
 	$(BIN)/python benchmarks/morphgen.py
 
 clean:
