@@ -44,7 +44,9 @@ class TargetEnv:
         ids = truncated.nonzero().flatten()
         self.final = {group: values[ids] for group, values in self.observe().items()}
         zeros = torch.zeros(self.num_envs)
-        info = StepInfo(ids, self.final, {"target": reward.mean()}, zeros, zeros, zeros.bool(), zeros, zeros, zeros.bool())
+        info = StepInfo(
+            ids, self.final, {"target": reward.mean()}, zeros, zeros, zeros.bool(), zeros, zeros, zeros.bool()
+        )
         if len(ids):
             self.last = self.final
         return self.observe(), reward, terminated, truncated, info
