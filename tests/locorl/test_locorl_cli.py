@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
+from urllib.request import urlopen
 
 import locorl.cli
 import locorl.providers
 import numpy as np
 import pytest
 from locorl import load_policy
+from locorl.play.errors import PlayError
+from locorl.play.renderer import gl_context
 from locorl_box import BoxQuadruped
 
 NETWORK = ["--network.actor", "16", "--network.critic", "16", "--network.encoder", "8", "--network.latent", "4"]
@@ -50,7 +54,7 @@ def test_help_lists_the_commands(monkeypatch, capsys):
     with pytest.raises(SystemExit, match="0"):
         run(monkeypatch, "--help")
     text = capsys.readouterr().out
-    assert all(command in text for command in ("train", "finetune", "evaluate"))
+    assert all(command in text for command in ("train", "finetune", "evaluate", "play", "terrain"))
 
 
 def test_train_and_resume(monkeypatch, capsys, trained):
@@ -96,9 +100,54 @@ def test_finetune_prints_both_policies(monkeypatch, capsys, trained, tmp_path):
     assert load_policy(tmp_path / "policy.pt").card.robot == "box"
 
 
+def test_play_writes_a_video_and_prints_the_score(monkeypatch, capsys, trained, tmp_path):
+    imageio = pytest.importorskip("imageio.v3")
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    try:
+        gl_context(64, 64).free()
+    except PlayError as error:
+        pytest.skip(str(error))
+    film = ["-o", tmp_path / "out.mp4", "--seconds", 0.1, "--size", 96, 64]
+    run(monkeypatch, "play", "--robot", "box", "--policy", trained / "policy.pt", "--command", 0.5, 0, 0, *film)
+    assert imageio.imread(tmp_path / "out.mp4").shape == (5, 64, 96, 3)
+    out = capsys.readouterr().out
+    assert "locomotion-flat" in out
+    assert all(word in out for word in ("survived", "distance", "speed"))
+    run(monkeypatch, "play", "--robot", "box", "--task", "parkour-stones", "--level", 9, "--bodies", 2, *film)
+    assert "parkour-stones" in capsys.readouterr().out
+
+
+def test_play_serves_a_page_until_it_is_stopped(monkeypatch, capsys):
+    browser = pytest.importorskip("locorl.play.browser")
+    served = []
+
+    def stop(page) -> None:
+        with urlopen(f"http://127.0.0.1:{page.server.get_port()}") as answer:
+            served.append(answer.status)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(browser.Page, "run", stop)
+    run(monkeypatch, "play", "--robot", "box", "--task", "locomotion-steps", "--no-open", "--port", 0)
+    assert served == [200]
+    assert re.fullmatch(r"locomotion-steps, box: http://localhost:\d+ \(Ctrl-C ends\)\n", capsys.readouterr().out)
+
+
+def test_play_without_its_extra_says_what_to_install(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(SystemExit, match="1"):
+        run(monkeypatch, "play", "--robot", "box")
+    assert "viser: pip install 'legged-locorl[play]'" in " ".join(capsys.readouterr().out.split())
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["play", "--robot", "box", "--task", "dance"], "there is no task 'dance'"),
+        (["play", "--robot", "box", "--policy", "wave"], "no policy 'wave'"),
+        (["play", "--robot", "box", "--design", 1, 1], "has 4 parameters"),
+        (["play", "--robot", "box", "--task", "locomotion-hills", "--level", 10], "levels 0 to 9, got 10"),
+        (["play", "--robot", "crate", "--policy", "{run}/policy.pt"], "cannot control 'crate'"),
+        (["play", "--robot", "box", "-o", "out.gif"], "a video is an .mp4 file"),
         (["evaluate", "nowhere.pt", "--robot", "box"], "no checkpoint at nowhere.pt"),
         (["train", "{run}", "--iterations", 2, "--seed", 5, *TRAIN], "seed: 0 -> 5"),
         (["evaluate", "{run}/policy.pt", "--robot", "crate"], "cannot control 'crate'"),

@@ -5,10 +5,11 @@ from locorl.bodies.samplers import MorphologyConfig, MorphologySampler, make_sam
 from locorl.env.commands import CommandConfig
 from locorl.env.depth_camera import DepthCamera, DepthConfig
 from locorl.env.goals import GoalConfig
-from locorl.env.legged_env import LeggedEnv, StepInfo
+from locorl.env.legged_env import LeggedEnv
 from locorl.env.observation import ObservationConfig
 from locorl.env.randomisation import RandomisationConfig, no_randomisation
 from locorl.env.scan import ScanConfig
+from locorl.env.step_info import StepInfo
 from locorl.learning.checkpoint import CheckpointError
 from locorl.learning.evaluate import EvalConfig, Evaluation, evaluate
 from locorl.learning.finetune import FinetuneConfig, Finetuned, finetune

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from locorl.bodies.designs import sample_designs
-from locorl.env.legged_env import LeggedEnv, StepInfo
+from locorl.env.legged_env import LeggedEnv
+from locorl.env.step_info import StepInfo
 from locorl.interfaces import Array, BodyFactory
 from locorl.providers import find_factory
 from locorl.tasks import TaskConfig, make_task
@@ -62,7 +63,6 @@ class GymVectorEnv(VectorEnv[Observation, Floats, NDArray[Any]]):
 
     def __init__(self, env: LeggedEnv, flat: bool = False) -> None:
         self.env, self.flat = env, flat
-        self._initial = env.state_dict()
         self.num_envs = env.num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
         clip = env.task.action_clip
@@ -76,7 +76,7 @@ class GymVectorEnv(VectorEnv[Observation, Floats, NDArray[Any]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start every robot afresh; with `seed`, all else too: random stream, curriculum, bodies.
+        """Start every robot afresh; with `seed`, all else too: random stream, curriculum.
 
         Raises:
             ValueError: `options` are given; there are none.
@@ -84,8 +84,6 @@ class GymVectorEnv(VectorEnv[Observation, Floats, NDArray[Any]]):
         if options:
             raise ValueError(f"LeggedEnv restarts all robots and knows no options, got {sorted(options)}")
         super().reset(seed=seed)
-        if seed is not None:
-            self.env.load_state_dict(self._initial)
         return self._numpy(self.env.reset(seed=seed)), {}
 
     def step(self, actions: Floats) -> tuple[Observation, NDArray[np.float64], Bools, Bools, dict[str, Any]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import webbrowser
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -81,14 +81,16 @@ class Play:
             from locorl.play.browser import Page
         except ModuleNotFoundError as error:
             raise missing_extra(error) from error
+        choice = replace(choice, bodies=1)
+        session = choice.start()
         with _quiet():
             server = viser.ViserServer(self.host, self.port, verbose=False)
         with contextlib.suppress(KeyboardInterrupt):  # also while it stops
             try:
-                page = Page(server, choice, installed_robots())
+                page = Page(server, choice, session, installed_robots())
                 host = "localhost" if self.host in ("127.0.0.1", "0.0.0.0") else self.host
                 url = f"http://{host}:{server.get_port()}"
-                print(f"{page.session.env.task.name}, {self.robot}: {url} (Ctrl-C ends)", flush=True)
+                print(f"{session.env.task.name}, {self.robot}: {url} (Ctrl-C ends)", flush=True)
                 if self.open:
                     webbrowser.open(url)
                 page.run()

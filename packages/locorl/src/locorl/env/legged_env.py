@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,10 +18,12 @@ from locorl.env.goals import Waypoints
 from locorl.env.guidance import Guidance
 from locorl.env.observation import observation_layout
 from locorl.env.observer import Observer, Snapshot
+from locorl.env.progress import Progress
 from locorl.env.randomisation import ActionDelay, Perturbation, draw_perturbation
 from locorl.env.reset import start_state
 from locorl.env.scoring import Scoring
 from locorl.env.state import Motion, Stateful, read_motion
+from locorl.env.step_info import StepInfo
 from locorl.interfaces import Array, BodyBatch, BodyFactory
 from locorl.simulation.make import SimulatorConfig, make_simulator
 from locorl.simulation.scene import flat_scene
@@ -31,33 +32,6 @@ from locorl.terrain.curriculum import Curriculum
 from locorl.terrain.map import TerrainMap
 
 Obs = dict[str, Tensor]
-
-
-class StepInfo(NamedTuple):
-    """What a step tells besides observation, reward and ends.
-
-    Attributes:
-        done_ids: robots whose episode ended in this step, (m,), ascending.
-        final_obs: their last observation of that episode, group -> (m, dim); where it was truncated, the bootstrap
-            needs it.
-        reward_terms: mean over robots of each weighted reward term, name -> ().
-        tracking_error: |v - command| along the commanded way, (N,), m/s: forward, or towards the next waypoint.
-        positive_work: positive joint work in this step, (N,), J.
-        diverged: robots whose simulation failed in this step, (N,) bool.
-        velocity: base velocity after the step, before any reset, base frame, (N, 3), m/s.
-        position: base position likewise, world frame, (N, 3), m.
-        success: robots that reached their last waypoint in this step, (N,) bool.
-    """
-
-    done_ids: Tensor
-    final_obs: Obs
-    reward_terms: dict[str, Tensor]
-    tracking_error: Tensor
-    positive_work: Tensor
-    diverged: Tensor
-    velocity: Tensor
-    position: Tensor
-    success: Tensor
 
 
 class LeggedEnv:
@@ -117,6 +91,7 @@ class LeggedEnv:
         count = self.terrain.waypoints.shape[2]
         self.goals = None if task.goals is None else Waypoints(task.goals, count, self.dt, n, device)
         self.guidance = Guidance(self.commands, self.goals)
+        self.progress = Progress(self.guidance, self.dt, n, device)
         ground, noise = self.terrain.heights, task.randomisation.observation_noise
         self.observer = Observer(task.observation, self.layout, ground, noise, self.dt, n, self.generator)
         self.eyes = None if task.camera is None else DepthStream(task.camera, ground, n, self.dt, self.generator)
@@ -125,8 +100,6 @@ class LeggedEnv:
 
         self.action = torch.zeros(n, self.num_actions, device=device)
         self.episode_step = torch.zeros(n, dtype=torch.long, device=device)
-        self._way, self._asked, self._error = (torch.zeros(n, device=device) for _ in range(3))
-        self._steps = torch.zeros((), dtype=torch.long)
         self._obs: Obs = {}
         # a stream of its own: on level ground there is nothing to draw
         self._tile_generator = torch.Generator(device).manual_seed(seed)
@@ -185,7 +158,7 @@ class LeggedEnv:
     @property
     def score(self) -> Tensor:
         """Mean tracking error of each robot since its body last changed, (N,), m/s."""
-        return self._error / max(1, int(self._steps))
+        return self.progress.score()
 
     def reset(self, seed: int | None = None) -> Obs:
         """Start every robot afresh. Returns the observation.
@@ -228,16 +201,12 @@ class LeggedEnv:
         now = read_motion(self.sim)
         self.contacts.update()
         reward, terms = self.scoring.reward(now, self.body, self.contacts, self.guidance, self.action, last_action)
-        error = (self.guidance.speed(now) - self.command[:, 0]).abs()
-        self._way += self.guidance.progress(now) * self.dt
-        self._asked += self.command[:, :2].norm(dim=1) * self.dt
-        success = self.guidance.reach(now)
         diverged = self.sim.diverged.clone()
+        error = self.progress.add(now, diverged)
+        success = self.guidance.reach(now)
         terminated = self._fallen(now) | diverged
         reward = torch.where(diverged, torch.zeros_like(reward), reward)
         truncated = ~terminated & ((self.episode_step >= task.episode_steps) | success)
-        self._error += torch.where(diverged, torch.zeros_like(error), error)
-        self._steps += 1
         self.failures.add(diverged)
 
         self._push()
@@ -250,8 +219,8 @@ class LeggedEnv:
         done = (terminated | truncated).nonzero().flatten()
         final_obs = {group: values[done] for group, values in obs.items()}
         if len(done):
-            asked = self._asked + self.command[:, :2].norm(dim=1) * self.dt * (task.episode_steps - self.episode_step)
-            self.curriculum.update(done, self._way[done], asked[done], success[done])
+            asked = self.progress.whole_way(task.episode_steps - self.episode_step)
+            self.curriculum.update(done, self.progress.way[done], asked[done], success[done])
             self._reset(done)
             first = self.observer.restart(self._snapshot(read_motion(self.sim, done), done), done)
             for group, values in first.items():
@@ -289,8 +258,7 @@ class LeggedEnv:
             raise ValueError(f"{len(designs)} designs for {self.num_envs} robots")
         bodies = make_bodies(self.factory, designs, self._scene)
         self._embody(bodies, draw_perturbation(self.task.randomisation, self.num_envs, self.generator))
-        self._error.zero_()
-        self._steps.zero_()
+        self.progress.change_bodies()
         return self.reset()
 
     def state_dict(self) -> dict[str, Tensor]:
@@ -330,6 +298,7 @@ class LeggedEnv:
             "commands": self.commands,
             "contacts": self.contacts,
             "scoring": self.scoring,
+            "progress": self.progress,
             "observer": self.observer,
             "curriculum": self.curriculum,
             "goals": self.goals,
@@ -392,8 +361,9 @@ class LeggedEnv:
         qpos, qvel = start_state(stance, origin, self._ground, self.task.randomisation, self.generator)
         self.sim.set_state(ids, qpos, qvel)
         self.scoring.reset(ids, qvel[:, 6:].float())
-        for zeroed in (self.action, self.episode_step, self._way, self._asked):
-            zeroed[ids] = 0
+        self.progress.reset(ids)
+        self.action[ids] = 0.0
+        self.episode_step[ids] = 0
         self.contacts.reset(ids)
         self.commands.draw(ids)
         if self.goals is not None:
@@ -405,7 +375,7 @@ class LeggedEnv:
         self.guidance.steer(read_motion(self.sim))
 
 
-_STATE = ("action", "episode_step", "_way", "_asked", "_error", "_steps")
+_STATE = ("action", "episode_step")
 
 
 def _part(state: Mapping[str, Tensor], part: str) -> dict[str, Tensor]:

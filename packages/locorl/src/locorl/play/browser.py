@@ -38,20 +38,29 @@ class Page:
 
     Args:
         server: a fresh server.
-        choice: what to show first.
+        choice: what to show first; one robot.
+        session: the same, started.
         robots: names of the robots to choose from.
+
+    Attributes:
+        server: as above.
+        choice: what is shown now.
+        session: the same, running.
+        message: why the last wish could not be fulfilled; empty otherwise.
+        pause: whether time stands still.
+        sliders: forward, left and turning velocity; none on a task whose waypoints lead.
     """
 
-    def __init__(self, server: viser.ViserServer, choice: Choice, robots: Sequence[str]) -> None:
-        self.choice = replace(choice, bodies=1)
-        self.session: Session = self.choice.start()
-        self._server = server
+    def __init__(self, server: viser.ViserServer, choice: Choice, session: Session, robots: Sequence[str]) -> None:
+        self.server = server
+        self.choice = choice
+        self.session = session
         self._random = np.random.default_rng()
         self._lock = threading.Lock()
         self._wanted: Choice | None = None
         self._restart = threading.Event()
         self._told = 0.0
-        server.scene.configure_environment_map("studio", environment_intensity=0.35)
+        server.scene.configure_environment_map("studio", environment_intensity=0.2)
         server.initial_camera.position, server.initial_camera.look_at = (-1.2, -1.4, 0.7), (0.3, -0.2, 0.1)
         self._build_world()
         self._build_panel(sorted({self.choice.robot, *robots}))
@@ -74,17 +83,26 @@ class Page:
         if self._restart.is_set():
             self._restart.clear()
             self.session.restart()
-        if not self._pause.value:
+        if not self.pause.value:
             self.session.command = self._command()
             self.session.step()
         self.update()
+
+    def ask(self, **changes: Any) -> None:
+        """Note what of the choice shall change; the next `advance` does it."""
+        with self._lock:
+            self._wanted = replace(self._wanted or self.choice, **changes)
+
+    def restart(self) -> None:
+        """Note that the robot shall start anew; the next `advance` does it."""
+        self._restart.set()
 
     def update(self) -> None:
         """Show the present state."""
         model, data = self._model, self._data
         data.qpos[:] = self.session.qpos(0)
         mujoco.mj_kinematics(model, data)
-        with self._server.atomic():
+        with self.server.atomic():
             x, y, _ = data.xpos[self._base]
             self._world.position = (-float(x), -float(y), 0.0)
             for body, frame in self._frames.items():
@@ -111,19 +129,19 @@ class Page:
         try:
             self.session = wanted.start()
         except (ValueError, LookupError, OSError, CheckpointError) as error:
-            self._message.content = _html(f'<span style="color:#b3261e">{escape(str(error))}</span>')
+            self.message.content = _html(f'<span style="color:#b3261e">{escape(str(error))}</span>')
             return
         other = wanted.robot != self.choice.robot
         self.choice = wanted
-        self._message.content = ""
-        with self._server.atomic():
+        self.message.content = ""
+        with self.server.atomic():
             self._world.remove()
             self._build_world()
         if other:
             self._build_design()
 
     def _build_world(self) -> None:
-        scene = self._server.scene
+        scene = self.server.scene
         self._world = scene.add_frame(_WORLD, show_axes=False)
         self._model = self.session.env.sim.model_of(0)
         self._data = mujoco.MjData(self._model)
@@ -164,28 +182,28 @@ class Page:
         ]
 
     def _build_panel(self, robots: Sequence[str]) -> None:
-        gui, choice, task = self._server.gui, self.choice, self.session.env.task
+        gui, choice, task = self.server.gui, self.choice, self.session.env.task
         levels = choice.levels
         gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
         gui.set_panel_label(f"locorl: {task.name}")
-        self._message = gui.add_html("")
+        self.message = gui.add_html("")
         self._numbers = gui.add_html("")
         depth = self.session.depth(0)
         self._depth = None if depth is None else gui.add_image(_gray(depth), label="depth camera")
-        self._pause = gui.add_checkbox("pause", initial_value=False)
-        gui.add_button("restart").on_click(lambda _: self._restart.set())
+        self.pause = gui.add_checkbox("pause", initial_value=False)
+        gui.add_button("restart").on_click(lambda _: self.restart())
         policy = gui.add_dropdown(
             "policy", list(dict.fromkeys((choice.policy, "stand", "random"))), initial_value=choice.policy
         )
-        policy.on_update(lambda event: self._ask(policy=event.target.value))
+        policy.on_update(lambda event: self.ask(policy=event.target.value))
         if levels > 1:
             level = gui.add_slider("level", 0, levels - 1, 1, choice.level, hint="Difficulty of the terrain")
-            level.on_update(lambda event: self._ask(level=int(event.target.value)))
-        self._sliders = []
+            level.on_update(lambda event: self.ask(level=int(event.target.value)))
+        self.sliders = []
         if self.session.env.goals is None:
             with gui.add_folder("Command"):
                 bounds = task.command
-                self._sliders = [
+                self.sliders = [
                     gui.add_slider(label, min(low, value), max(high, value, low + 0.1), 0.05, value)
                     for label, (low, high), value in zip(
                         ("forward [m/s]", "left [m/s]", "turn [rad/s]"),
@@ -197,7 +215,7 @@ class Page:
         self._design_folder = gui.add_folder("Body")
         with self._design_folder:
             robot = gui.add_dropdown("robot", list(robots), initial_value=choice.robot)
-            robot.on_update(lambda event: self._ask(robot=event.target.value, design=None))
+            robot.on_update(lambda event: self.ask(robot=event.target.value, design=None))
             designs = gui.add_button_group("set to", ("Nominal", "Random"))
             designs.on_click(lambda event: self._set_design(event.target.value == "Random"))
         self._design: list[viser.GuiSliderHandle] = []
@@ -210,11 +228,11 @@ class Page:
         bounds = (space.low.tolist(), space.high.tolist(), self.session.env.bodies.designs[0].tolist())
         with self._design_folder:
             self._design = [
-                self._server.gui.add_slider(name.replace("_", " "), low, high, (high - low) / 100, value)
+                self.server.gui.add_slider(name.replace("_", " "), low, high, (high - low) / 100, value)
                 for name, low, high, value in zip(space.names, *bounds, strict=True)
             ]
         for slider in self._design:
-            slider.on_update(lambda _: self._ask(design=tuple(slider.value for slider in self._design)))
+            slider.on_update(lambda _: self.ask(design=tuple(slider.value for slider in self._design)))
 
     def _set_design(self, random: bool) -> None:
         factory = self.session.env.factory
@@ -222,16 +240,11 @@ class Page:
         for slider, value in zip(self._design, design.tolist(), strict=True):
             slider.value = value
 
-    def _ask(self, **changes: Any) -> None:
-        """Note a wish; `advance` fulfils the last one of each kind."""
-        with self._lock:
-            self._wanted = replace(self._wanted or self.choice, **changes)
-
     def _command(self) -> Command | None:
-        """What the sliders ask for; None on a task whose waypoints do."""
-        if not self._sliders:
-            return None
-        vx, vy, yaw_rate = (float(slider.value) for slider in self._sliders)
+        """What the sliders ask for; without sliders, what was asked for at first."""
+        if not self.sliders:
+            return self.choice.command
+        vx, vy, yaw_rate = (float(slider.value) for slider in self.sliders)
         return vx, vy, yaw_rate
 
 

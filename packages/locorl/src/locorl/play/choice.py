@@ -59,7 +59,7 @@ class Choice:
         """
         actor = make_actor(self.policy, self.seed)
         factory = find_factory(self.robot)
-        task = at_level(calm(self._task(actor), self.command), self.level)
+        task = at_level(calm(self._task(actor)), self.level)
         return Session(factory, self.designs(factory), task, actor, self.command, self.seed)
 
     @property
@@ -86,13 +86,9 @@ class Choice:
         return repeat_design(factory, design, self.bodies)
 
 
-def calm(task: TaskConfig, command: Command | None = None) -> TaskConfig:
-    """The task with nominal friction and exact starts, without disturbances, in episodes that only a fall ends.
-
-    With `command`, nothing else steers the robots.
-    """
-    asked = task.command if command is None else replace(task.command, hold=_FOREVER, heading=False)
-    return replace(task, episode_seconds=_FOREVER, randomisation=no_randomisation(), command=asked)
+def calm(task: TaskConfig) -> TaskConfig:
+    """The task with nominal friction and exact starts, without disturbances, in episodes that only a fall ends."""
+    return replace(task, episode_seconds=_FOREVER, randomisation=no_randomisation())
 
 
 def at_level(task: TaskConfig, level: int) -> TaskConfig:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from locorl.env.kinematics import yaw_of
 from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import Array, BodyFactory
 from locorl.learning.evaluate import Actor
@@ -97,8 +98,7 @@ class Session:
         """Advance one control period."""
         env = self.env
         if self.command is not None:
-            steered = 2 if env.goals is not None else 3  # waypoints give the yaw rate
-            env.command[:, :steered] = torch.tensor(self.command[:steered])
+            self._ask(*self.command)
             self._obs = env.observe()
         commanded = env.command[:, 0].cpu()
         self._obs, _, terminated, truncated, info = env.step(self.actor.act(self._obs))
@@ -109,6 +109,16 @@ class Session:
         self._commanded += commanded * env.dt * upright
         self._time += env.dt * upright
         self.speed += (forward - self.speed) * (env.dt / _SMOOTHING)
+
+    def _ask(self, vx: float, vy: float, yaw_rate: float) -> None:
+        env = self.env
+        env.command[:, 0], env.command[:, 1] = vx, vy
+        if env.goals is not None:
+            return
+        env.command[:, 2] = yaw_rate
+        # where a heading to keep gives the yaw rate, the one that gives this
+        yaw = yaw_of(env.sim.qpos[:, 3:7].float())
+        env.commands.heading[:] = yaw + yaw_rate / env.task.command.heading_gain
 
     def qpos(self, robot: int) -> Array:
         """Present generalised position of a robot, (19,)."""
@@ -127,8 +137,8 @@ class Session:
     def caption(self, robot: int) -> list[str]:
         """A few numbers about a robot, one line each."""
         env = self.env
-        vx, vy, yaw_rate = env.command[robot].tolist()
-        lines = [f"{self.speed[robot]:.2f} m/s", f"asked {vx:.2f}, {vy:.2f} m/s, {yaw_rate:.2f} rad/s"]
+        vx, vy, yaw_rate = (_two_digits(value) for value in env.command[robot].tolist())
+        lines = [f"{_two_digits(float(self.speed[robot]))} m/s", f"asked {vx}, {vy} m/s, {yaw_rate} rad/s"]
         kind = env.terrain.kinds[env.curriculum.column[robot]]
         if kind != "flat":
             lines.append(f"{kind.replace('_', ' ')}, difficulty {env.terrain.difficulty[0]:.2f}")
@@ -146,3 +156,8 @@ class Session:
         if self.env.task.camera is None:
             return None
         return (255 * (0.5 - self.env.depth[robot])).byte().cpu().numpy()
+
+
+def _two_digits(value: float) -> str:
+    """Without a minus before a zero."""
+    return f"{round(value, 2) + 0.0:.2f}"

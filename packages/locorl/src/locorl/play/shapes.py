@@ -18,6 +18,8 @@ Color = tuple[int, int, int]
 _HIDDEN_GROUP = 3
 """Geoms of this group and beyond are not shown, as in MuJoCo's own viewers."""
 _SECTIONS = 24
+_SHADE = 12
+"""Step to which the colours of a height field are rounded."""
 
 
 class Surface(NamedTuple):
@@ -43,11 +45,10 @@ def surfaces(model: mujoco.MjModel) -> dict[int, list[Surface]]:
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    parts: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
+    parts: dict[tuple[int, tuple[int, ...]], list[trimesh.Trimesh]] = {}
     for geom in range(model.ngeom):
-        rgba = _rgba(model, geom)
-        mesh = _mesh(model, geom)
-        if mesh is None or model.geom_group[geom] >= _HIDDEN_GROUP or rgba[3] == 0.0:
+        mesh, colors = _mesh(model, geom), _colors(model, geom)
+        if mesh is None or model.geom_group[geom] >= _HIDDEN_GROUP or not colors[0, 3]:
             continue
         body = int(model.geom_bodyid[geom])
         if model.body_weldid[body] == 0:
@@ -56,19 +57,39 @@ def surfaces(model: mujoco.MjModel) -> dict[int, list[Surface]]:
         else:
             pose = quaternion_matrix(model.geom_quat[geom])
             pose[:3, 3] = model.geom_pos[geom]
-        parts.setdefault((body, rgba), []).append(mesh.apply_transform(pose))
+        mesh.apply_transform(pose)
+        colors = np.broadcast_to(colors, (len(mesh.vertices), 4))[mesh.faces[:, 0]]
+        for color in np.unique(colors, axis=0):
+            faces = mesh.faces[(colors == color).all(axis=1)]
+            part = trimesh.Trimesh(mesh.vertices, faces, process=False)
+            part.remove_unreferenced_vertices()
+            parts.setdefault((body, tuple(color.tolist())), []).append(part)
     found: dict[int, list[Surface]] = {}
-    for (body, (red, green, blue, opacity)), meshes in parts.items():
+    for (body, (red, green, blue, alpha)), meshes in parts.items():
         whole = trimesh.util.concatenate(meshes)
-        color = round(255 * red), round(255 * green), round(255 * blue)
-        found.setdefault(body, []).append(Surface(whole.vertices, whole.faces, color, opacity))
+        found.setdefault(body, []).append(Surface(whole.vertices, whole.faces, (red, green, blue), alpha / 255))
     return found
 
 
-def _rgba(model: mujoco.MjModel, geom: int) -> tuple[float, float, float, float]:
+def _colors(model: mujoco.MjModel, geom: int) -> NDArray[np.uint8]:
+    """Red, green, blue and opacity of a geom, (1, 4), or of each node of a height field whose texture tells, (V, 4).
+
+    Colours of a texture are rounded, so that few differ.
+    """
     material = model.geom_matid[geom]
-    red, green, blue, opacity = (model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]).tolist()
-    return red, green, blue, opacity
+    rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
+    color = np.rint(255 * rgba).astype(np.uint8)[None]
+    texture = -1 if material < 0 else model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]
+    if texture < 0 or model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_HFIELD:
+        return color
+    field, count = model.geom_dataid[geom], int(model.tex_width[texture] * model.tex_height[texture])
+    shape = model.tex_height[texture], model.tex_width[texture], model.tex_nchannel[texture]
+    if shape != (model.hfield_nrow[field], model.hfield_ncol[field], 3):
+        return color
+    start = int(model.tex_adr[texture])
+    texels = model.tex_data[start : start + 3 * count].reshape(count, 3)
+    rounded = texels // _SHADE * _SHADE + _SHADE // 2
+    return np.concatenate((rounded, np.broadcast_to(color[:, 3:], (count, 1))), axis=1)
 
 
 def _mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
