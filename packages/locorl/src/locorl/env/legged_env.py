@@ -233,7 +233,7 @@ class LeggedEnv:
             final_obs=final_obs,
             reward_terms=dict(zip(terms, torch.stack(tuple(terms.values())).mean(dim=1), strict=True)),
             tracking_error=error,
-            positive_work=self.sim.positive_work.float(),
+            positive_work=self.sim.positive_work.to(torch.float32, copy=True),
             diverged=diverged,
             velocity=now.velocity,
             position=now.position,

@@ -58,7 +58,7 @@ class Scoring(Stateful):
             forces = contacts.foot_forces()
         if "heading_tracking" in self._terms:
             heading = guidance.heading_errors(now)[:, 0]
-        torque = self._sim.torque.float()
+        torque = self._sim.torque.to(torch.float32, copy=True)
         state = StepState(
             velocity=now.velocity,
             rate=now.rate,

@@ -38,8 +38,8 @@ class Motion:
 
 
 def read_motion(sim: Simulator, rows: Tensor | slice = slice(None)) -> Motion:
-    """The present motion of robots `rows`, single precision."""
-    qpos, qvel = sim.qpos[rows].float(), sim.qvel[rows].float()
+    """The present motion of robots `rows`, single precision, as copies: the simulator's tensors are live."""
+    qpos, qvel = (values[rows].to(torch.float32, copy=True) for values in (sim.qpos, sim.qvel))
     quat = qpos[:, 3:7]
     return Motion(
         position=qpos[:, :3],
