@@ -72,7 +72,7 @@ class Play:
             return
         session = choice.start()
         write_video(session, self.output, self.seconds, self.size)
-        print_summaries({self.policy: session.score().summary()}, title=session.env.task.name)
+        print_summaries({Path(self.policy).name: session.score().summary()}, title=session.env.task.name)
 
     def _serve(self, choice: Choice) -> None:
         try:
