@@ -31,7 +31,7 @@ def test_a_configuration_comes_back(config):
 @pytest.mark.parametrize(
     "config",
     [
-        replace(TrainConfig(), task=TaskConfig(reward=table_i())),  # an infinite cap
+        replace(TrainConfig(), task=TaskConfig(reward=table_i())),  # no cap
         FinetuneConfig(command_vx=(0.6, 0.6), specific_power=-1.0),
         FinetuneConfig(),
         PolicyCard(

@@ -11,6 +11,7 @@ import pytest
 import torch
 from locorl import TASKS, LeggedEnv, RandomisationConfig, TaskConfig, flat_scene, make_task, no_randomisation
 from locorl.config import from_dict, to_dict
+from locorl.env.depth_camera import DepthConfig
 from locorl.rewards.terms import TERMS
 from locorl_box import box_spec
 
@@ -151,6 +152,57 @@ def test_everything_at_once_goes_on_bit_identically(factory, designs, name):
     assert len(levels) > 1  # robots changed tiles on the way
 
 
+@pytest.mark.parametrize(("name", "robots"), [("locomotion-flat", 4), ("locomotion-hills", 8), ("parkour-stones", 8)])
+def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(factory, designs, name, robots):
+    env, twin = (LeggedEnv(factory, designs, TaskConfig(), seed=0, threads=1) for _ in range(2))
+    other = LeggedEnv(factory, designs[::-1][:robots], make_task(name), seed=0, threads=1)
+    for each in (env, twin, other):
+        each.reset(seed=0)
+    with pytest.raises(ValueError, match=rf"a state of {robots} robots .* 8 robots on task 'locomotion-flat'"):
+        env.load_state_dict(other.state_dict())
+    with pytest.raises(ValueError, match="another task"):
+        other.load_state_dict(env.state_dict())
+    for action in shaken(8, 3):
+        ours, theirs = env.step(action), twin.step(action)
+        assert all(torch.equal(ours[0][group], theirs[0][group]) for group in ours[0])
+
+
+def test_the_seed_of_a_reset_decides_with_cameras_too(factory, designs):
+    task = replace(make_task("parkour-highjump"), camera=DepthConfig(rows=4, columns=6))
+    env = LeggedEnv(factory, designs, task, seed=0, threads=1)
+    first, other, again = (env.reset(seed=seed)["proprio"] for seed in (1, 2, 1))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_a_fall_is_judged_by_the_way_of_the_whole_episode(factory, designs):
+    task = calm(make_task("locomotion-steps"))
+    command = replace(task.command, vx=(0.8, 0.8), vy=(0.0, 0.0), standing=0.0)
+    env = LeggedEnv(factory, designs, replace(task, command=command), seed=0, threads=1)
+    env.reset(seed=0)
+    env.curriculum.level[:] = 1
+    way = sum(env.step(action)[-1].speed * env.dt for action in shaken(8, 5, 0.2))
+    np.testing.assert_allclose(env.progress.way, way, atol=1e-6)
+    np.testing.assert_allclose(env.progress.asked, 0.8 * 5 * env.dt, rtol=1e-5)
+    env.progress.way[:] = 0.08  # just what was asked until now, and little of 16 m
+    env.sim.qpos[3, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])
+    *_, terminated, _, _ = env.step(torch.zeros(8, 12))
+    assert terminated.tolist() == [False] * 3 + [True] + [False] * 4
+    assert env.curriculum.level.tolist() == [1, 1, 1, 0, 1, 1, 1, 1]
+    assert env.progress.way[3] == env.progress.asked[3] == 0.0
+
+
+def test_a_failed_simulation_has_come_nowhere(factory, designs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs the failure into the working folder
+    env = LeggedEnv(factory, designs, calm(make_task("parkour-highjump")), seed=0, threads=1)
+    env.reset(seed=0)
+    env.curriculum.level[:] = 1
+    env.progress.way[3] = 1e6  # as when it flew off before it failed
+    env.sim.qvel[3] = float("nan")
+    env.step(torch.zeros(8, 12))
+    assert env.curriculum.level.tolist() == [1, 1, 1, 0, 1, 1, 1, 1]
+
+
 def test_payload_centre_of_mass_and_motors_reach_the_simulation(factory, designs):
     random = RandomisationConfig(
         payload=(1.0, 2.0),
@@ -263,3 +315,8 @@ def test_the_score_is_the_mean_tracking_error_since_the_bodies_changed(factory, 
 def test_a_task_without_eyes_says_so(make_env):
     with pytest.raises(ValueError, match="'locomotion-flat' have no camera"):
         _ = make_env().depth
+
+
+@pytest.mark.parametrize(("name", "preset"), BOTH)
+def test_a_task_is_strict_json(name, preset):
+    json.dumps(to_dict(make_task(name, preset)), allow_nan=False)  # infinities are none

@@ -43,8 +43,8 @@ class RewardConfig:
     """s of the angular velocity kernel, (rad/s)^2."""
     air_time_offset: float = 0.15
     """Seconds in the air that earn nothing; the paper's is 0.5."""
-    air_time_cap: float = 0.4
-    """Air time beyond this earns no more, s; infinite in the paper."""
+    air_time_cap: float | None = 0.4
+    """Air time beyond this earns no more, s; None, as in the paper, for no limit."""
     air_time_command: float = 0.1
     """Air time counts only beyond this commanded speed, m/s; 0 counts always, as the paper does."""
     normalise_goal_velocity: bool = False
@@ -80,7 +80,7 @@ def table_i(task: Literal["locomotion", "parkour"] = "locomotion") -> RewardConf
             feet_air_time=1.0,
             kernel="l1",
             air_time_offset=0.5,
-            air_time_cap=float("inf"),
+            air_time_cap=None,
             air_time_command=0.0,
             clip_at_zero=False,
         )

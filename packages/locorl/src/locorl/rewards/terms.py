@@ -102,7 +102,8 @@ def feet_air_time(state: StepState, config: RewardConfig) -> Tensor:
     Counts once, when the foot touches down: summed at every step, as printed, it would punish standing. With
     `air_time_command` it counts only while a horizontal velocity beyond it is commanded.
     """
-    gain = state.landed_air_time.clamp(max=config.air_time_cap).sub_(config.air_time_offset).mul_(state.landed)
+    cap = float("inf") if config.air_time_cap is None else config.air_time_cap
+    gain = state.landed_air_time.clamp(max=cap).sub_(config.air_time_offset).mul_(state.landed)
     total = gain.sum(dim=1)
     if config.air_time_command > 0.0:
         total.mul_(torch.linalg.vector_norm(state.command[:, :2], dim=1) > config.air_time_command)

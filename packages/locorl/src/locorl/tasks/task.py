@@ -30,8 +30,8 @@ class TaskConfig:
     """An episode ends when the base tilts further than this, rad (60 degrees)."""
     min_height: float = 0.5
     """... or sinks below this fraction of its stance height above the ground beneath; 0 leaves it out ..."""
-    min_altitude: float = float("-inf")
-    """... or below this world height, as when a robot falls into a pit, m ..."""
+    min_altitude: float | None = None
+    """... or below this world height, as when a robot falls into a pit, m; None where there are no pits ..."""
     end_on_base_contact: bool = True
     """... or touches anything with its base, as when a robot lies down rather than walk."""
     command: CommandConfig = field(default_factory=CommandConfig)
