@@ -10,6 +10,13 @@ from locorl.interfaces import Layout
 from locorl.simulation.simulator import Simulator
 
 
+def evenly(columns: list[int]) -> slice | list[int]:
+    """A slice of evenly spaced columns, which costs no copy, or the columns themselves."""
+    step = columns[1] - columns[0] if len(columns) > 1 else 1
+    even = step > 0 and columns == list(range(columns[0], columns[-1] + 1, step))
+    return slice(columns[0], columns[-1] + 1, step) if even else columns
+
+
 class Contacts(Stateful):
     """Reads the contact sensors after each control step.
 
@@ -25,8 +32,10 @@ class Contacts(Stateful):
         self._sim = sim
         self._dt = dt
         feet = [sim.sensor_slice(name) for name in layout.foot_contact]
-        self._feet = [columns.start for columns in feet]
-        self._links = [sim.sensor_slice(name).start for name in layout.link_contact]
+        links = [sim.sensor_slice(name).start for name in layout.link_contact]
+        self._feet = evenly([columns.start for columns in feet])
+        self._links = evenly(links)
+        self._base = links[0]
         self._forces = [list(range(c.start + 1, c.stop)) for c in feet]
         self.has_forces = all(len(columns) == 3 for columns in self._forces)
         """Whether the feet's sensors report the net force too."""
@@ -56,7 +65,7 @@ class Contacts(Stateful):
 
     def base_touches(self) -> Tensor:
         """Robots whose base touches something, (N,), bool."""
-        return self._sim.sensors[:, self._links[0]] > 0
+        return self._sim.sensors[:, self._base] > 0
 
     def foot_forces(self) -> Tensor:
         """Net contact force on each foot, world axes, (N, 4, 3), N; zeros if the robot's model does not measure it."""

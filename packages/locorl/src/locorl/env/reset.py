@@ -9,7 +9,9 @@ from locorl.env.kinematics import yaw_quat
 from locorl.env.randomisation import RandomisationConfig
 from locorl.terrain.heights import HeightGrid
 
-_FOOTPRINT = 0.3  # half-width of the square that a standing robot covers, m
+_CORNER = torch.tensor((-0.3, 0.0, 0.3))
+_FOOTPRINT = torch.cartesian_prod(_CORNER, _CORNER)
+"""Points of the square that a standing robot covers, (9, 2), m."""
 
 
 def start_state(
@@ -45,7 +47,6 @@ def start_state(
     if random.reset_position > 0.0:
         qpos[:, :2] += random.reset_position * draw(2)
     if ground is not None:
-        corner = torch.tensor((-_FOOTPRINT, 0.0, _FOOTPRINT), device=qpos.device)
-        around = torch.cartesian_prod(corner, corner)
-        qpos[:, 2] += ground.at(qpos[:, None, :2].float() + around).amax(dim=1)
+        around = qpos[:, None, :2].float() + _FOOTPRINT.to(qpos.device)
+        qpos[:, 2] += ground.at(around).amax(dim=1)
     return qpos, qvel

@@ -51,6 +51,7 @@ class HeightGrid:
         self._edge = self._edge.reshape(-1)
         self._start = torch.tensor(origin, dtype=torch.float32, device=self.device)
         self._last = torch.tensor((heights.shape[0] - 1, heights.shape[1] - 1), device=self.device)
+        self._last_float = self._last.float()
 
     def at(self, xy: Tensor) -> Tensor:
         """Height at the node nearest to each point `xy` (..., 2), world, m -> (...,), m."""
@@ -59,7 +60,7 @@ class HeightGrid:
     def interpolate(self, xy: Tensor) -> Tensor:
         """Bilinear height at each point `xy` (..., 2), world, m -> (...,), m; vertical faces become ramps."""
         place = ((xy - self._start) / self.cell).clamp(min=0.0)
-        place = torch.minimum(place, self._last.to(place.dtype))
+        place = torch.minimum(place, self._last_float)
         low = torch.minimum(place.long(), self._last - 1)
         u, v = (place - low).unbind(dim=-1)
         index = low[..., 0] * self.shape[1] + low[..., 1]
@@ -72,8 +73,8 @@ class HeightGrid:
         return self._edge[self._nearest(xy)]
 
     def _nearest(self, xy: Tensor) -> Tensor:
-        node = ((xy - self._start) / self.cell + 0.5).clamp(min=0.0).long()
-        node = torch.minimum(node, self._last)
+        node = (xy - self._start).div_(self.cell).add_(0.5).clamp_(min=0.0)
+        node = torch.minimum(node, self._last_float, out=node).int()
         return node[..., 0] * self.shape[1] + node[..., 1]
 
 
