@@ -193,6 +193,17 @@ def test_total_mass_is_that_of_the_compiled_model(factory, designs):
         assert mass == pytest.approx(factory.spec(design).compile().body_subtreemass[0], rel=1e-12)
 
 
+def test_repeated_designs_are_the_same_bodies(factory, designs):
+    rows = np.array([2, 0, 2, 1, 1, 0])
+    repeated = factory.batch(designs[rows])
+    for i, row in enumerate(rows):
+        alone = factory.batch(designs[row])
+        assert np.array_equal(repeated.designs[i], designs[row])
+        assert all(np.array_equal(values[i], alone.fields[name][0]) for name, values in repeated.fields.items())
+        assert np.array_equal(repeated.stance_qpos[i], alone.stance_qpos[0])
+        assert np.array_equal(repeated.stance_ctrl[i], alone.stance_ctrl[0])
+
+
 def test_take_selects_rows_of_everything(factory, designs):
     batch = factory.batch(designs)
     ids = np.array([4, 0, 4, 20])

@@ -147,6 +147,9 @@ class BodyFactory:
             MorphologyError: a design out of bounds; names row and parameter.
         """
         checked = self.space.validated(designs)
+        different, index = np.unique(checked, axis=0, return_inverse=True)
+        if len(different) < len(checked):
+            return self.batch(different, scene).take(index.ravel())
         made = self._make(checked)
         model = self.spec(self.space.nominal, scene).compile()
         nominal = (self._nominal, self._collisions)
