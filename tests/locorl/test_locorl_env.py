@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
 import pytest
 import torch
 from locorl import CommandConfig, LeggedEnv, RewardConfig, TaskConfig, flat_scene, no_randomisation
+from locorl.env.contacts import Contacts
 from locorl.rewards.total import active_terms
 
 QUIET = TaskConfig(randomisation=no_randomisation())
@@ -277,6 +279,23 @@ def test_air_time_is_paid_once_at_touch_down(make_env, designs):
     assert paid[landing] == pytest.approx(landed * (3 + landing + 1) * env.dt, rel=1e-5)
     assert all(touch.all() for touch in touching[-20:])
     assert paid[-20:] == [0.0] * 20  # standing earns nothing
+
+
+def test_air_time_of_flights_flickers_and_fresh_starts():
+    """One foot in each of four robots: down for good, a flicker, a hop of two steps, a restart in the air."""
+    seen = torch.zeros(4, 4)
+    sim = SimpleNamespace(num_envs=4, device=torch.device("cpu"), sensors=seen)
+    sim.sensor_slice = lambda name: slice(int(name), int(name) + 1)
+    layout = SimpleNamespace(foot_contact=("0", "1", "2", "3"), link_contact=("0",))
+    contacts = Contacts(sim, layout, dt=0.02)  # pyright: ignore[reportArgumentType]
+    paid = torch.zeros(4)
+    for t, down in enumerate(((1, 1, 1, 0), (1, 1, 1, 0), (1, 0, 0, 0), (1, 1, 0, 0), (1, 1, 1, 1))):
+        if t == 4:
+            contacts.reset(torch.tensor([3]))
+        seen[:] = torch.tensor(down, dtype=torch.float)[:, None]
+        contacts.update()
+        paid += (contacts.air_time * contacts.landed)[:, 0]
+    np.testing.assert_allclose(paid, (0.0, 0.0, 0.04, 0.0), atol=1e-7)
 
 
 def test_pushes_come_on_time_and_a_saved_environment_goes_on_bit_identically(make_env):

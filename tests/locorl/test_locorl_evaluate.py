@@ -12,6 +12,7 @@ from locorl import (
     CommandConfig,
     EvalConfig,
     FinetuneConfig,
+    GoalConfig,
     LeggedEnv,
     Policy,
     PPOConfig,
@@ -22,6 +23,7 @@ from locorl import (
     feasible,
     finetune,
     load_policy,
+    make_task,
     no_randomisation,
     repeat_design,
     sample_designs,
@@ -104,6 +106,50 @@ def test_every_number_against_a_recomputation(factory, designs):
     assert summary["survived"] == (fell_at == 50).sum()
     assert summary["tracking_error"] == pytest.approx(error.mean(), rel=1e-4)
     assert summary["commanded_distance"] == pytest.approx(command.mean(), rel=1e-4)
+
+
+def test_a_course_counts_until_its_last_waypoint(factory, designs):
+    """Waypoints that are reached from anywhere end the course soon; what follows is another course."""
+    task = make_task("parkour-highjump")
+    task = replace(
+        task,
+        goals=GoalConfig(reach=100.0, hold=0.1),
+        # backwards, so that forward is not towards the waypoint
+        randomisation=replace(task.randomisation, reset_yaw=np.pi),
+        reward=replace(task.reward, clip_at_zero=False),
+    )
+    protocol = replace(PROTOCOL, seconds=1.2)
+    result = evaluate(Sprawler(), factory, designs, task, protocol, threads=1)
+
+    quiet = replace(no_randomisation(), reset_joint=0.05, reset_yaw=np.pi)
+    command = CommandConfig(PROTOCOL.vx, (0, 0), (-1, 1), hold=99, standing=0)
+    twin = replace(task, command=command, randomisation=quiet, episode_seconds=9.0)
+    env = LeggedEnv(factory, np.repeat(designs, 2, axis=0), twin, seed=7, threads=1)
+    actor, obs = Sprawler(), env.reset(seed=7)
+    actor.reset()
+    asked, last = env.command[:, 0].clone(), 5 * env.terrain.waypoints.shape[2]
+    assert 15 < last < 55
+    upright, way, returns, error = torch.ones(16, dtype=torch.bool), *torch.zeros(3, 16, dtype=torch.float64)
+    for t in range(1, last + 1):
+        goal = env.goal[:, :2]
+        obs, reward, terminated, _, info = env.step(actor.act(obs))
+        returns += reward * upright
+        upright &= ~terminated
+        to = goal - info.position[:, :2]
+        # at the end of the course the robots have been put elsewhere
+        speed = info.speed if t == last else (env.sim.qvel[:, :2] * to).sum(dim=1) / to.norm(dim=1)
+        way += env.dt * speed * upright
+        if t > 15:
+            error += torch.where(upright, (speed - asked).abs().double(), asked)
+    assert 4 < upright.sum() < 16
+    assert result.succeeded is not None
+    np.testing.assert_array_equal(result.succeeded, upright.reshape(8, 2))
+    np.testing.assert_array_equal(result.survived, result.succeeded)
+    np.testing.assert_allclose(result.distance, way.reshape(8, 2), atol=2e-4)
+    np.testing.assert_allclose(result.returns, returns.reshape(8, 2), rtol=1e-4, atol=1e-5)
+    through = result.succeeded.ravel()
+    np.testing.assert_allclose(result.tracking_error.ravel()[through], error[upright] / (last - 15), rtol=1e-3)
+    assert result.summary()["succeeded"] == upright.sum()
 
 
 def test_the_seed_decides_the_commands_and_bodies_share_them(factory, designs, generalist):

@@ -133,6 +133,13 @@ def test_delays_are_drawn_per_robot_and_episode(factory, designs):
     assert (drawn != drawn[0]).any()
 
 
+def test_impossible_pushes_and_histories_are_refused():
+    with pytest.raises(ValueError, match="push_interval must be above 0 s"):
+        RandomisationConfig(push=0.5, push_interval=0.0)
+    with pytest.raises(ValueError, match="history must be 0 frames or more, got -1"):
+        ObservationConfig(history=-1)
+
+
 @pytest.mark.parametrize("delay", [(2, 1), (-1, 0)])
 def test_impossible_delays_are_refused(delay):
     with pytest.raises(ValueError, match="action_delay needs 0 <= low <= high"):

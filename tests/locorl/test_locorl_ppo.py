@@ -45,7 +45,7 @@ class TargetEnv:
         self.final = {group: values[ids] for group, values in self.observe().items()}
         zeros = torch.zeros(self.num_envs)
         info = StepInfo(
-            ids, self.final, {"target": reward.mean()}, zeros, zeros, zeros.bool(), zeros, zeros, zeros.bool()
+            ids, self.final, {"target": reward.mean()}, zeros, zeros, zeros, zeros.bool(), zeros, zeros, zeros.bool()
         )
         if len(ids):
             self.last = self.final

@@ -56,7 +56,9 @@ class Evaluate:
 
 def to_json(result: Evaluation) -> dict[str, object]:
     """Summary, protocol and one row per robot; what is infinite (the cost of going nowhere) becomes None."""
-    columns = ("command", "survived", "returns", "tracking_error", "distance", "energy", "cost_of_transport")
+    course = () if result.succeeded is None else ("succeeded",)
+    measures = ("returns", "tracking_error", "distance", "energy", "cost_of_transport")
+    columns = ("command", "survived", *course, *measures)
     rows = [
         {"design": design.tolist(), **_finite({name: getattr(result, name)[i, j].item() for name in columns})}
         for i, design in enumerate(result.designs)

@@ -167,10 +167,11 @@ class LeggedEnv:
         give equal rollouts.
         """
         if seed is not None:
-            self.generator.manual_seed(seed)
-            self._tile_generator.manual_seed(seed)
             for name, part in self._parts().items():
                 part.load_state_dict(self._fresh[name])
+            # after the parts: cameras bring the state of the random stream along
+            self.generator.manual_seed(seed)
+            self._tile_generator.manual_seed(seed)
             self.curriculum.set_hip_heights(self.body.stance_height)
         everyone = torch.arange(self.num_envs, device=self.device)
         self._reset(everyone)
@@ -202,7 +203,7 @@ class LeggedEnv:
         self.contacts.update()
         reward, terms = self.scoring.reward(now, self.body, self.contacts, self.guidance, self.action, last_action)
         diverged = self.sim.diverged.clone()
-        error = self.progress.add(now, diverged)
+        speed, error = self.progress.add(now, diverged)
         success = self.guidance.reach(now)
         terminated = self._fallen(now) | diverged
         reward = torch.where(diverged, torch.zeros_like(reward), reward)
@@ -232,6 +233,7 @@ class LeggedEnv:
             done_ids=done,
             final_obs=final_obs,
             reward_terms=dict(zip(terms, torch.stack(tuple(terms.values())).mean(dim=1), strict=True)),
+            speed=speed,
             tracking_error=error,
             positive_work=self.sim.positive_work.to(torch.float32, copy=True),
             diverged=diverged,
@@ -275,9 +277,11 @@ class LeggedEnv:
         """Go back to a saved state, and to the bodies that it had, and return its observation.
 
         Raises:
-            ValueError: it was saved with another number of robots or another task.
+            ValueError: it was saved with another number of robots or another task; nothing has changed then.
         """
-        drawn, designs = Perturbation(**_part(state, "drawn")), state["designs"].numpy()
+        self._check(state)
+        state = {name: value.to(self.device) for name, value in state.items()}
+        drawn, designs = Perturbation(**_part(state, "drawn")), state["designs"].cpu().numpy()
         same = all(torch.equal(value, getattr(self.body.drawn, name)) for name, value in vars(drawn).items())
         if not same or not np.array_equal(designs, self.bodies.designs):
             self._embody(make_bodies(self.factory, designs, self._scene), drawn)
@@ -286,8 +290,8 @@ class LeggedEnv:
             part.load_state_dict(_part(state, name))
         for name in _STATE:
             setattr(self, name, state[name].clone())
-        self.generator.set_state(state["generator"])
-        self._tile_generator.set_state(state["tile_generator"])
+        self.generator.set_state(state["generator"].cpu())
+        self._tile_generator.set_state(state["tile_generator"].cpu())
         self._obs = _part(state, "obs")
         return _part(state, "obs")
 
@@ -306,6 +310,19 @@ class LeggedEnv:
             "delay": self._delay,
         }
         return {name: part for name, part in parts.items() if part is not None}
+
+    def _check(self, state: Mapping[str, Tensor]) -> None:
+        saved, here = (
+            {name: tuple(value.shape) for name, value in each.items() if not name.startswith("obs.")}
+            for each in (state, self.state_dict())
+        )
+        wrong = sorted(name for name in saved | here if saved.get(name) != here.get(name))
+        if wrong:
+            robots = len(state["episode_step"]) if "episode_step" in state else 0
+            raise ValueError(
+                f"a state of {robots} robots does not fit these {self.num_envs} robots on task '{self.task.name}': "
+                f"it was saved with another number of robots, another task or another simulator ({', '.join(wrong)})"
+            )
 
     def _embody(self, bodies: BodyBatch, drawn: Perturbation) -> None:
         """Give the robots other bodies, in the simulator too."""
@@ -340,7 +357,7 @@ class LeggedEnv:
         if task.min_height > 0.0:
             above = height if self._ground is None else height - self._ground.at(now.position[:, :2])
             fallen |= above < task.min_height * self.body.stance_qpos[:, 2]
-        if task.min_altitude > -math.inf:
+        if task.min_altitude is not None:
             fallen |= height < task.min_altitude
         if task.end_on_base_contact:
             # the sensors show the start of the last physics step, before any reset
@@ -351,7 +368,7 @@ class LeggedEnv:
         random = self.task.randomisation
         if random.push <= 0.0:
             return
-        ids = (self.episode_step % round(random.push_interval / self.dt) == 0).nonzero().flatten()
+        ids = (self.episode_step % max(1, round(random.push_interval / self.dt)) == 0).nonzero().flatten()
         if len(ids):
             kick = torch.rand(len(ids), 2, generator=self.generator, device=self.device) * 2 - 1
             self.sim.qvel[ids, :2] += (kick * random.push).to(self.sim.qvel.dtype)

@@ -77,6 +77,8 @@ class ObservationConfig:
         unknown = [name for name in self.proprio if name not in PROPRIO]
         if unknown:
             raise ValueError(f"ObservationConfig: no proprioceptive term {unknown}; there are {sorted(PROPRIO)}")
+        if self.history < 0:
+            raise ValueError(f"ObservationConfig: history must be 0 frames or more, got {self.history}")
 
 
 @dataclass(frozen=True)

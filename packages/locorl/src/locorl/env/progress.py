@@ -24,15 +24,20 @@ class Progress(Stateful):
         self.way, self.asked, self._error = (torch.zeros(num_envs, device=device) for _ in range(3))
         self._steps = torch.zeros((), dtype=torch.long)
 
-    def add(self, now: Motion, diverged: Tensor) -> Tensor:
-        """Take in one control step; the tracking error of each robot, (N,), m/s."""
+    def add(self, now: Motion, diverged: Tensor) -> tuple[Tensor, Tensor]:
+        """Take in one control step; speed and tracking error of each robot, (N,) each, m/s.
+
+        A simulation that failed has come nowhere: what it did before it failed proves nothing.
+        """
         command = self._guidance.commands.command
-        error = (self._guidance.speed(now) - command[:, 0]).abs()
+        speed = self._guidance.speed(now)
+        error = (speed - command[:, 0]).abs()
         self.way += self._guidance.progress(now) * self._dt
+        self.way.masked_fill_(diverged, 0.0)
         self.asked += torch.linalg.vector_norm(command[:, :2], dim=1) * self._dt
         self._error += torch.where(diverged, torch.zeros_like(error), error)
         self._steps += 1
-        return error
+        return speed, error
 
     def whole_way(self, steps_left: Tensor) -> Tensor:
         """Commanded in the whole episode if the present command holds for `steps_left` (N,) more steps, (N,), m."""

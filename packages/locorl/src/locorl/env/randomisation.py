@@ -48,8 +48,10 @@ class RandomisationConfig:
     """Whether first episodes start at random ages, so that they do not all end together."""
 
     def __post_init__(self) -> None:
-        """Refuse delays that cannot be."""
+        """Refuse delays and pushes that cannot be."""
         low, high = self.action_delay
+        if self.push_interval <= 0.0:
+            raise ValueError(f"RandomisationConfig: push_interval must be above 0 s, got {self.push_interval}")
         if not 0 <= low <= high:
             raise ValueError(
                 f"RandomisationConfig: action_delay needs 0 <= low <= high control steps, got {low}, {high}"

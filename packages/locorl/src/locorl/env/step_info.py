@@ -15,7 +15,8 @@ class StepInfo(NamedTuple):
         final_obs: their last observation of that episode, group -> (m, dim); the bootstrap of those that were cut
             by time needs it.
         reward_terms: mean over robots of each weighted reward term, name -> ().
-        tracking_error: |v - command| along the commanded way, (N,), m/s: forward, or towards the next waypoint.
+        speed: along the commanded way, (N,), m/s: forward, or towards the next waypoint.
+        tracking_error: |speed - commanded speed|, (N,), m/s.
         positive_work: positive joint work in this step, (N,), J.
         diverged: robots whose simulation failed in this step, (N,) bool.
         velocity: base velocity after the step, before any reset, base frame, (N, 3), m/s.
@@ -26,6 +27,7 @@ class StepInfo(NamedTuple):
     done_ids: Tensor
     final_obs: dict[str, Tensor]
     reward_terms: dict[str, Tensor]
+    speed: Tensor
     tracking_error: Tensor
     positive_work: Tensor
     diverged: Tensor

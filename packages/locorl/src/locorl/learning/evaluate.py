@@ -62,12 +62,14 @@ class Evaluation:
         command: commanded speed, m/s.
         weight: of the robot, N.
         survived: no fall and no failed simulation until the end, bool.
-        returns: undiscounted sum of rewards until the end or the fall (eq. 9).
-        tracking_error: mean |v_x - command| after `settle`, m/s; a fallen robot counts its whole command.
-        distance: way along the commanded direction in the base frame, m.
+        returns: undiscounted sum of rewards until the end, the fall or the last waypoint (eq. 9).
+        tracking_error: mean |v - command| after `settle`, along the commanded way, m/s; a fallen robot counts its
+            whole command, one that is through with its course nothing more.
+        distance: way along the commanded direction in the base frame, or towards the waypoints, m.
         energy: positive joint work, J, accumulated at every physics step (eq. 10 times the time step).
         cost_of_transport: positive joint work / (m g way), both after `settle`; infinite without a way.
-        mean_power: positive mechanical power after `settle`, W, while upright.
+        mean_power: positive mechanical power after `settle`, W, while upright and under way.
+        succeeded: last waypoint reached, bool, where it ends the episode; None on a task without waypoints.
     """
 
     designs: Array
@@ -81,6 +83,7 @@ class Evaluation:
     energy: Array
     cost_of_transport: Array
     mean_power: Array
+    succeeded: NDArray[np.bool_] | None = None
 
     def summary(self) -> dict[str, float]:
         """Means over all robots; cost of transport over those that survived."""
@@ -88,6 +91,7 @@ class Evaluation:
         return {
             "robots": float(self.survived.size),
             "survived": float(self.survived.sum()),
+            **({} if self.succeeded is None else {"succeeded": float(self.succeeded.sum())}),
             "return": float(self.returns.mean()),
             "tracking_error": float(self.tracking_error.mean()),
             "tracking_error_worst_decile": float(np.quantile(self.tracking_error, 0.9)),
@@ -129,22 +133,27 @@ def evaluate(
     asked = env.command[:, 0].clone()
 
     alive = torch.ones(env.num_envs, dtype=torch.bool)
+    arrived = torch.zeros_like(alive)
     returns, error, way, work = (torch.zeros(env.num_envs, dtype=torch.float64) for _ in range(4))
-    settled_way, settled_work, settled_steps = (torch.zeros_like(returns) for _ in range(3))
+    settled_way, settled_work, settled_steps, judged_steps = (torch.zeros_like(returns) for _ in range(4))
     for step in range(steps):
-        obs, reward, terminated, _, info = env.step(actor.act(obs))
-        actor.reset(terminated)
-        returns += reward * alive
-        alive = alive & ~terminated
-        moved = info.velocity[:, 0].double() * env.dt * alive
-        spent = info.positive_work.double() * alive
+        obs, reward, terminated, truncated, info = env.step(actor.act(obs))
+        actor.reset(terminated | truncated)
+        # who is through with the course starts another, which is not part of the protocol
+        returns += reward * (alive & ~arrived)
+        alive = alive & (arrived | ~terminated)
+        under_way = alive & ~arrived
+        moved = info.speed.double() * env.dt * under_way
+        spent = info.positive_work.double() * under_way
         way += moved
         work += spent
         if step >= settle:
-            error += torch.where(alive, info.tracking_error, asked.abs())
+            error += torch.where(alive, info.tracking_error, asked.abs()) * ~arrived
+            judged_steps += ~arrived
             settled_way += moved
             settled_work += spent
-            settled_steps += alive
+            settled_steps += under_way
+        arrived = arrived | (under_way & info.success)
 
     def shape(values: Tensor) -> Array:
         return values.double().numpy().reshape(bodies, robots)
@@ -158,9 +167,10 @@ def evaluate(
         weight=shape(weight),
         survived=alive.numpy().reshape(bodies, robots),
         returns=shape(returns),
-        tracking_error=shape(error / (steps - settle)),
+        tracking_error=shape(error / judged_steps.clamp(min=1)),
         distance=shape(way),
         energy=shape(work),
         cost_of_transport=shape(transport),
         mean_power=shape(settled_work / (settled_steps * env.dt).clamp(min=env.dt)),
+        succeeded=None if env.goals is None else arrived.numpy().reshape(bodies, robots),
     )
