@@ -169,7 +169,7 @@ def test_a_foot_near_an_edge_is_seen(jumper):
 
 
 def test_a_heading_is_kept(factory, designs):
-    command = CommandConfig(heading=True, standing=0.0, yaw_rate=(-0.4, 0.4))
+    command = CommandConfig(heading=(-np.pi, np.pi), standing=0.0, yaw_rate=(-0.4, 0.4))
     task = replace(TaskConfig(), command=command, randomisation=no_randomisation())
     env = LeggedEnv(factory, designs, task, threads=1)
     env.reset(seed=0)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from locorl.env.kinematics import wrap
-from locorl.env.state import Stateful
+from locorl.env.state import Stateful, check_ranges, uniform
 
 
 @dataclass(frozen=True)
@@ -25,10 +24,16 @@ class CommandConfig:
     """Seconds between two draws."""
     standing: float = 0.02
     """Share of draws that command a standstill."""
-    heading: bool = False
-    """Whether a heading is drawn instead of a yaw rate, which then steers there."""
+    heading: tuple[float, float] | None = None
+    """Headings to keep, rad, drawn instead of yaw rates, which then steer there; None for plain yaw rates."""
     heading_gain: float = 0.5
     """Commanded yaw rate per heading error, 1/s, where a heading or a waypoint gives it."""
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that run backwards and commands that are never held."""
+        check_ranges(self, "vx", "vy", "yaw_rate", "heading")
+        if self.hold <= 0.0 or not 0.0 <= self.standing <= 1.0:
+            raise ValueError(f"CommandConfig: need hold > 0 s and a share standing of 0 to 1, got {self}")
 
 
 class VelocityCommands(Stateful):
@@ -36,7 +41,7 @@ class VelocityCommands(Stateful):
 
     Attributes:
         command: vx, vy (m/s) and yaw rate (rad/s) in the base frame, (N, 3).
-        heading: heading to keep, rad, (N,); used with `CommandConfig.heading`.
+        heading: heading to keep, rad, (N,); used if `CommandConfig.heading` draws it.
     """
 
     _state = ("command", "heading", "_age")
@@ -56,9 +61,8 @@ class VelocityCommands(Stateful):
         draw = torch.rand(len(ids), 4, generator=self.generator, device=self.generator.device)
         command = self._bounds[:, 0] + (self._bounds[:, 1] - self._bounds[:, 0]) * draw[:, :3]
         self.command[ids] = command * (draw[:, 3:] >= self.config.standing)
-        if self.config.heading:
-            angle = torch.rand(len(ids), generator=self.generator, device=self.generator.device)
-            self.heading[ids] = torch.pi * (2.0 * angle - 1.0)
+        if self.config.heading is not None:
+            self.heading[ids] = uniform(self.config.heading, len(ids), self.generator)
         self._age[ids] = 0
 
     def renew(self) -> None:
@@ -68,12 +72,8 @@ class VelocityCommands(Stateful):
         if len(ids):
             self.draw(ids)
 
-    def heading_error(self, yaw: Tensor) -> Tensor:
-        """Heading to keep minus `yaw` (N,), (N,), rad in (-pi, pi]."""
-        return wrap(self.heading - yaw)
-
-    def steer(self, heading_error: Tensor) -> None:
-        """Command the yaw rates that reduce `heading_error` (N,), rad; a robot told to stand stays."""
-        rate = (self.config.heading_gain * heading_error).clamp(float(self._bounds[2, 0]), float(self._bounds[2, 1]))
-        moving = self.command[:, :2].abs().sum(dim=1) > 0.0
-        self.command[:, 2] = rate * moving
+    def steer(self, heading_error: Tensor, rows: Tensor | slice = slice(None)) -> None:
+        """Command robots `rows` the yaw rates that reduce `heading_error` (n,), rad; one told to stand stays."""
+        rate = (self.config.heading_gain * heading_error).clamp(*self.config.yaw_rate)
+        moving = self.command[rows, :2].abs().sum(dim=1) > 0.0
+        self.command[rows, 2] = rate * moving

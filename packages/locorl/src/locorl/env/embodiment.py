@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from locorl.env.observation import ObsLayout
-from locorl.env.randomisation import Perturbation, perturbed_fields
+from locorl.env.randomisation import Perturbation, RandomisationConfig, perturbed_fields
 from locorl.interfaces import Array, BodyBatch, BodyFactory, DesignSpace
 
 GRAVITY = 9.81
@@ -79,9 +79,9 @@ class Embodiment:
             weight=mass.float() * GRAVITY,
         )
 
-    def fields(self) -> dict[str, Array]:
+    def fields(self, config: RandomisationConfig) -> dict[str, Array]:
         """Model fields that the perturbation changes, on top of the bodies' own."""
-        return perturbed_fields(self.bodies, self.drawn)
+        return perturbed_fields(self.bodies, self.drawn, config)
 
     def describe(self, layout: ObsLayout, space: DesignSpace, centre_of_mass: Tensor) -> Tensor:
         """The implicit privileged state e_t (section III-A), (N, dim).

@@ -24,7 +24,7 @@ class Guidance:
     def __init__(self, commands: VelocityCommands, goals: Waypoints | None) -> None:
         self.commands = commands
         self.goals = goals
-        self._steers = goals is not None or commands.config.heading
+        self._steers = goals is not None or commands.config.heading is not None
         num_envs, device = commands.command.shape[0], commands.command.device
         self._nowhere = torch.zeros(1, 1, device=device)
         self._nobody = torch.zeros(num_envs, dtype=torch.bool, device=device)
@@ -35,10 +35,10 @@ class Guidance:
             return now.velocity[:, 0]
         return (now.velocity_world * self.goals.direction(now.position)).sum(dim=1)
 
-    def progress(self, now: Motion) -> Tensor:
-        """Speed along the commanded way, sideways commands included, (N,), m/s."""
+    def progress(self, now: Motion, speed: Tensor) -> Tensor:
+        """Speed along the commanded way, sideways commands included, (N,), m/s; `speed` is what `speed` gave."""
         if self.goals is not None:
-            return self.speed(now)
+            return speed
         asked = self.commands.command[:, :2]
         return (now.velocity[:, :2] * asked).sum(dim=1) / torch.linalg.vector_norm(asked, dim=1).clamp(min=1e-6)
 
@@ -61,7 +61,7 @@ class Guidance:
         self.goals.advance(now.position)
         return self.goals.finished()
 
-    def steer(self, now: Motion) -> None:
-        """Set the commanded yaw rates from the heading errors, where a heading or a waypoint gives them."""
+    def steer(self, now: Motion, rows: Tensor | slice = EVERYONE) -> None:
+        """Set the yaw rates of robots `rows`, of which `now` is, where a heading or a waypoint gives them."""
         if self._steers:
-            self.commands.steer(self.heading_errors(now)[:, 0])
+            self.commands.steer(self.heading_errors(now, rows)[:, 0], rows)

@@ -80,7 +80,9 @@ class LeggedEnv:
         bodies = make_bodies(factory, designs, self._scene)
         drawn = draw_perturbation(task.randomisation, n, self.generator)
         self.body = Embodiment.of(bodies, drawn)
-        self.sim = make_simulator(simulator, bodies, task.physics.substeps, factory.layout.feet, self.body.fields())
+        self.sim = make_simulator(
+            simulator, bodies, task.physics.substeps, factory.layout.feet, self.body.fields(task.randomisation)
+        )
         self.layout = observation_layout(task.observation, bodies.designs.shape[1])
         self.group_dims: Mapping[str, int] = self.layout.dims
         self.failures = FailureLog(bodies.designs, device)
@@ -174,13 +176,18 @@ class LeggedEnv:
             self._tile_generator.manual_seed(seed)
             self.curriculum.set_hip_heights(self.body.stance_height)
         everyone = torch.arange(self.num_envs, device=self.device)
-        self._reset(everyone)
+        now = self._reset(everyone)
         if self.task.randomisation.stagger:
             self.episode_step[:] = torch.randint(
                 0, self.task.episode_steps, (self.num_envs,), generator=self.generator, device=self.device
             )
-        self._obs = self.observer.restart(self._snapshot(read_motion(self.sim)), everyone)
+        self._obs = self.observer.restart(self._snapshot(now), everyone)
         return self._obs
+
+    def reset_on(self, level: Tensor, column: Tensor) -> Obs:
+        """Start every robot afresh on tiles of the map of your choice, (N,) each. Returns the observation."""
+        self.curriculum.level[:], self.curriculum.column[:] = level, column
+        return self.reset()
 
     def step(self, action: Tensor) -> tuple[Obs, Tensor, Tensor, Tensor, StepInfo]:
         """Advance one control period.
@@ -222,8 +229,7 @@ class LeggedEnv:
         if len(done):
             asked = self.progress.whole_way(task.episode_steps - self.episode_step)
             self.curriculum.update(done, self.progress.way[done], asked[done], success[done])
-            self._reset(done)
-            first = self.observer.restart(self._snapshot(read_motion(self.sim, done), done), done)
+            first = self.observer.restart(self._snapshot(self._reset(done), done), done)
             for group, values in first.items():
                 obs[group][done] = values
         if self.eyes is not None:
@@ -329,7 +335,7 @@ class LeggedEnv:
         self.body = Embodiment.of(bodies, drawn)
         self.failures.change_bodies(bodies.designs)
         self.curriculum.set_hip_heights(self.body.stance_height)
-        self.sim.set_fields({**bodies.fields, **self.body.fields()})
+        self.sim.set_fields({**bodies.fields, **self.body.fields(self.task.randomisation)})
         self._stand()
 
     def _stand(self) -> None:
@@ -373,7 +379,8 @@ class LeggedEnv:
             kick = torch.rand(len(ids), 2, generator=self.generator, device=self.device) * 2 - 1
             self.sim.qvel[ids, :2] += (kick * random.push).to(self.sim.qvel.dtype)
 
-    def _reset(self, ids: Tensor) -> None:
+    def _reset(self, ids: Tensor) -> Motion:
+        """Start robots `ids` (m,) afresh; their motion."""
         origin, stance = self.curriculum.place(ids), self.body.stance_qpos[ids]
         qpos, qvel = start_state(stance, origin, self._ground, self.task.randomisation, self.generator)
         self.sim.set_state(ids, qpos, qvel)
@@ -389,7 +396,9 @@ class LeggedEnv:
             self._delay.reset(ids)
         if self.eyes is not None:
             self.eyes.reset(ids, qpos[:, :3].float(), qpos[:, 3:7].float())
-        self.guidance.steer(read_motion(self.sim))
+        now = read_motion(self.sim, ids)
+        self.guidance.steer(now, ids)
+        return now
 
 
 _STATE = ("action", "episode_step")

@@ -32,7 +32,7 @@ class Progress(Stateful):
         command = self._guidance.commands.command
         speed = self._guidance.speed(now)
         error = (speed - command[:, 0]).abs()
-        self.way += self._guidance.progress(now) * self._dt
+        self.way += self._guidance.progress(now, speed) * self._dt
         self.way.masked_fill_(diverged, 0.0)
         self.asked += torch.linalg.vector_norm(command[:, :2], dim=1) * self._dt
         self._error += torch.where(diverged, torch.zeros_like(error), error)

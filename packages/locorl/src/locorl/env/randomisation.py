@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from locorl.env.state import Stateful, uniform
+from locorl.env.state import Stateful, check_ranges, uniform
 from locorl.interfaces import Array, BodyBatch
 
 
@@ -48,7 +48,8 @@ class RandomisationConfig:
     """Whether first episodes start at random ages, so that they do not all end together."""
 
     def __post_init__(self) -> None:
-        """Refuse delays and pushes that cannot be."""
+        """Refuse delays, pushes and ranges that cannot be."""
+        check_ranges(self, "friction", "joint_damping", "payload", "motor_strength", "motor_damping")
         low, high = self.action_delay
         if self.push_interval <= 0.0:
             raise ValueError(f"RandomisationConfig: push_interval must be above 0 s, got {self.push_interval}")
@@ -109,10 +110,10 @@ def draw_perturbation(config: RandomisationConfig, num_envs: int, generator: tor
     )
 
 
-def perturbed_fields(bodies: BodyBatch, drawn: Perturbation) -> dict[str, Array]:
+def perturbed_fields(bodies: BodyBatch, drawn: Perturbation, config: RandomisationConfig) -> dict[str, Array]:
     """Model fields of `bodies` that the perturbation changes, (N, ...) each, on top of the bodies' own.
 
-    Touches `geom_friction`, `dof_damping`; where drawn also `body_mass`, `body_inertia`, `body_ipos`,
+    Touches `geom_friction`, `dof_damping`; where `config` varies them also `body_mass`, `body_inertia`, `body_ipos`,
     `actuator_gainprm` and `actuator_biasprm`. The simulator derives the rest.
     """
     model = bodies.model
@@ -132,18 +133,18 @@ def perturbed_fields(bodies: BodyBatch, drawn: Perturbation) -> dict[str, Array]
     damping = own("dof_damping")
     damping[:, 6:] *= array(drawn.joint_damping)[:, None]
     fields = {"geom_friction": friction, "dof_damping": damping}
-    if drawn.payload.any():
+    if config.payload != (0.0, 0.0):
         mass, inertia = own("body_mass"), own("body_inertia")
         loaded = mass[:, base] + array(drawn.payload)
         # a denser trunk of the same shape
         inertia[:, base] *= (loaded / mass[:, base])[:, None]
         mass[:, base] = loaded
         fields |= {"body_mass": mass, "body_inertia": inertia}
-    if drawn.centre_of_mass.any():
+    if config.centre_of_mass > 0.0:
         centre = own("body_ipos")
         centre[:, base] += array(drawn.centre_of_mass)
         fields["body_ipos"] = centre
-    if (drawn.motor_strength != 1.0).any() or (drawn.motor_damping != 1.0).any():
+    if (config.motor_strength, config.motor_damping) != ((1.0, 1.0), (1.0, 1.0)):
         gain, bias = own("actuator_gainprm"), own("actuator_biasprm")
         gain[:, :, 0] *= array(drawn.motor_strength)
         bias[:, :, 1] *= array(drawn.motor_strength)

@@ -75,6 +75,18 @@ class Stateful:
             mine.copy_(state[name])
 
 
+def check_ranges(config: object, *names: str) -> None:
+    """Refuse ranges of a configuration whose first bound is above the second; a range may be None.
+
+    Raises:
+        ValueError: naming the configuration and the range.
+    """
+    for name in names:
+        bounds = getattr(config, name)
+        if bounds is not None and not bounds[0] <= bounds[1]:
+            raise ValueError(f"{type(config).__name__}: {name} must be (low, high), got {bounds}")
+
+
 def uniform(bounds: tuple[float, float], size: int | tuple[int, ...], generator: torch.Generator) -> Tensor:
     """Uniform numbers within `bounds` on the generator's device."""
     low, high = bounds

@@ -41,6 +41,8 @@ class EvalConfig:
     settle: float = 2.0
     """Tracking error and energy count from here on, s."""
     robots_per_body: int = 1
+    level: int | None = None
+    """Level of the terrain; None spreads the robots of each body evenly over all levels."""
     reset_joint: float = 0.0
     """Half-width of joint deviations at the start, rad: makes repeated robots differ."""
     seed: int = 0
@@ -103,6 +105,37 @@ class Evaluation:
         }
 
 
+def _protocol(task: TaskConfig, config: EvalConfig) -> TaskConfig:
+    """The task as it is evaluated: one command for each robot, nothing random but the starts."""
+    command = CommandConfig(config.vx, (0.0, 0.0), (0.0, 0.0), hold=2 * config.seconds, standing=0.0)
+    calm = replace(no_randomisation(), reset_joint=config.reset_joint, reset_yaw=task.randomisation.reset_yaw)
+    steered = replace(command, yaw_rate=task.command.yaw_rate, heading_gain=task.command.heading_gain)
+    if task.goals is not None:  # the way to the next waypoint needs turning
+        command = steered
+    elif task.command.heading is not None:  # straight on
+        command, calm = replace(steered, heading=(0.0, 0.0)), replace(calm, reset_yaw=0.0)
+    # the episode never ends by time within the evaluation, and no body is spared a level
+    curriculum = replace(task.curriculum, hip_limit=None)
+    seconds = 2 * config.seconds
+    return replace(task, episode_seconds=seconds, command=command, randomisation=calm, curriculum=curriculum)
+
+
+def _tiles(config: EvalConfig, bodies: int, levels: int, columns: int) -> tuple[Tensor, Tensor]:
+    """Level and column of each robot, (B * R,) each: the same for every body.
+
+    Raises:
+        ValueError: the map has no such level.
+    """
+    robot = torch.arange(config.robots_per_body)
+    if config.level is None:
+        level = ((robot + 0.5) * levels / config.robots_per_body).long()
+    elif 0 <= config.level < levels:
+        level = torch.full_like(robot, config.level)
+    else:
+        raise ValueError(f"EvalConfig: the terrain has levels 0 to {levels - 1}, not {config.level}")
+    return level.repeat(bodies), (robot % columns).repeat(bodies)
+
+
 @torch.no_grad()
 def evaluate(
     actor: Actor,
@@ -119,16 +152,13 @@ def evaluate(
     config = config or EvalConfig()
     designs = np.asarray(designs, dtype=np.float64)
     bodies, robots = len(designs), config.robots_per_body
-    command = CommandConfig(config.vx, (0.0, 0.0), (0.0, 0.0), hold=2 * config.seconds, standing=0.0)
-    if task.goals is not None:  # the way to the next waypoint needs turning
-        command = replace(command, yaw_rate=task.command.yaw_rate, heading_gain=task.command.heading_gain)
-    calm = replace(no_randomisation(), reset_joint=config.reset_joint, reset_yaw=task.randomisation.reset_yaw)
-    # the episode never ends by time within the evaluation
-    task = replace(task, episode_seconds=2 * config.seconds, command=command, randomisation=calm)
+    task = _protocol(task, config)
     env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
     steps = round(config.seconds / env.dt)
     settle = round(config.settle / env.dt)
     obs = env.reset(seed=config.seed)
+    if len(env.terrain.difficulty) > 1:
+        obs = env.reset_on(*_tiles(config, bodies, *env.terrain.obstacle.shape))
     actor.reset()
     asked = env.command[:, 0].clone()
 

@@ -80,7 +80,9 @@ def _locomotion(name: str, preset: Preset) -> TaskConfig:
             action_clip=4.8,
             max_tilt=1.5,
             min_height=0.0,
-            command=CommandConfig((-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0), hold=10.0, standing=0.0, heading=True),
+            command=CommandConfig(
+                (-1.0, 1.0), (-1.0, 1.0), (-1.0, 1.0), hold=10.0, standing=0.0, heading=(-math.pi, math.pi)
+            ),
             terrain=terrain,
             observation=_paper_observation("heading_error", "command"),
             reward=table_i("locomotion"),
