@@ -125,7 +125,10 @@ def test_a_course_counts_until_its_last_waypoint(factory, designs):
     command = CommandConfig(PROTOCOL.vx, (0, 0), (-1, 1), hold=99, standing=0)
     twin = replace(task, command=command, randomisation=quiet, episode_seconds=9.0)
     env = LeggedEnv(factory, np.repeat(designs, 2, axis=0), twin, seed=7, threads=1)
-    actor, obs = Sprawler(), env.reset(seed=7)
+    actor = Sprawler()
+    env.reset(seed=7)
+    # the robots of each body are spread over the 10 levels and the 2 columns
+    obs = env.reset_on(torch.tensor([2, 7]).repeat(8), torch.tensor([0, 1]).repeat(8))
     actor.reset()
     asked, last = env.command[:, 0].clone(), 5 * env.terrain.waypoints.shape[2]
     assert 15 < last < 55
