@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -332,6 +333,35 @@ def test_actions_are_clipped(make_env):
     assert torch.allclose(env.sim.ctrl.float(), env.stance_ctrl + 0.25 * 6.0)
 
 
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (torch.zeros(12), r"an action is \(8, 12\), a row for each robot; got \(12,\)"),
+        (torch.zeros(1, 12), r"got \(1, 12\)"),
+        (torch.zeros(8, 11), r"got \(8, 11\)"),
+        (torch.zeros(8, 12).index_fill(0, torch.tensor([2, 5]), math.nan), r"NaN for 2 of 8 robots \(2, 5\)"),
+    ],
+)
+def test_actions_that_cannot_be_change_nothing(make_env, action, message):
+    env, untouched = make_env(), make_env()
+    for each in (env, untouched):
+        each.reset(seed=0)
+        each.step(torch.ones(8, 12))
+    with pytest.raises(ValueError, match=message):
+        env.step(action)
+    for (name, value), expected in zip(env.state_dict().items(), untouched.state_dict().values(), strict=True):
+        torch.testing.assert_close(value, expected, rtol=0.0, atol=0.0, msg=name)
+
+
+def test_arrays_of_any_precision_are_actions(make_env):
+    env, other = make_env(), make_env()
+    env.reset(seed=0), other.reset(seed=0)
+    obs, *_ = env.step(torch.full((8, 12), 0.5))
+    same, *_ = other.step(np.full((8, 12), 0.5))
+    for group, values in obs.items():
+        torch.testing.assert_close(same[group], values, rtol=0.0, atol=0.0)
+
+
 def test_bodies_without_a_stance_and_wrong_shapes_are_refused(factory, designs, make_env):
     lame = designs.copy()
     lame[3] = (1.4, 0.6, 0.6, 0.6)
@@ -339,3 +369,5 @@ def test_bodies_without_a_stance_and_wrong_shapes_are_refused(factory, designs, 
         make_env(designs=lame)
     with pytest.raises(ValueError, match=r"designs must be \(n, 4\), got \(8, 3\)"):
         make_env(designs=designs[:, :3])
+    with pytest.raises(ValueError, match=r"designs must be \(n, 4\), got \(0, 4\)"):
+        make_env(designs=designs[:0])

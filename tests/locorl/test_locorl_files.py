@@ -120,6 +120,12 @@ def test_what_is_no_checkpoint_is_named(tmp_path):
     torch.save({"format": 99}, future)
     with pytest.raises(CheckpointError, match=r"future\.pt: checkpoint format 99, this version of locorl reads 1"):
         checkpoint.load(future)
+    text = tmp_path / "notes.txt"
+    text.write_text("no checkpoint")
+    with pytest.raises(CheckpointError) as refused:
+        checkpoint.load(text)
+    assert "another kind of file" in str(refused.value)
+    assert "weights_only" not in str(refused.value)  # torch's advice is to execute what is in the file
     other = tmp_path / "other.pt"
     checkpoint.save(other, {"kind": "something else"})
     with pytest.raises(CheckpointError, match=r"other\.pt holds no policy"):

@@ -188,6 +188,20 @@ def test_near_things_are_bright_in_the_depth_image(play):
 # ------------------------------------------------------------------------ choice
 
 
+def test_robots_get_a_camera_where_the_task_has_none(installed, tmp_path):
+    assert Choice(robot="box").start().depth(0) is None
+    small = DepthConfig.small()
+    assert Choice(robot="box", camera=True).start().depth(0).shape == (small.rows, small.columns)
+    own = replace(TaskConfig(), camera=DepthConfig(rows=12, columns=16))
+    path = save_policy(tmp_path / "policy.pt", own)
+    assert Choice(robot="box", policy=str(path), camera=True).start().depth(0).shape == (12, 16)
+
+
+def test_commands_that_are_no_numbers_are_refused(installed):
+    with pytest.raises(ValueError, match="three finite numbers"):
+        Choice(robot="box", command=(float("nan"), 0.0, 0.0)).start()
+
+
 def test_choices_of_bodies(installed, factory):
     np.testing.assert_array_equal(Choice(robot="box").designs(factory), NOMINAL)
     np.testing.assert_array_equal(
@@ -344,6 +358,8 @@ def test_a_film_that_breaks_off_leaves_the_old_file(play, tmp_path, monkeypatch)
     [
         ("out.gif", 1.0, (64, 64), r"out\.gif: a video is an \.mp4 file"),
         ("out.mp4", 0.0, (64, 64), "at least one frame"),
+        ("out.mp4", float("nan"), (64, 64), "at least one frame"),
+        ("out.mp4", float("inf"), (64, 64), "at least one frame"),
         ("out.mp4", 1.0, (65, 64), "even width and height"),
         ("nowhere/out.mp4", 1.0, (64, 64), "folder .*nowhere does not exist"),
     ],
@@ -365,7 +381,19 @@ def test_without_opengl_the_error_says_what_to_do(play, tmp_path, monkeypatch):
     pytest.importorskip("imageio_ffmpeg")
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
-    with pytest.raises(PlayError, match=r"needs OpenGL.*apt install libegl1.*leave out -o"):
+    with pytest.raises(PlayError, match=r"need OpenGL.*apt install libegl1.*without -o"):
+        write_video(play(), tmp_path / "out.mp4", 0.1)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_window_system_without_a_screen_is_an_error_too(play, tmp_path, monkeypatch):
+    pytest.importorskip("imageio_ffmpeg")
+
+    def fail(*arguments):
+        raise mujoco.FatalError("an OpenGL platform library has not been loaded into this process")
+
+    monkeypatch.setattr(mujoco, "MjrContext", fail)
+    with pytest.raises(PlayError, match=r"does not work here: leave MUJOCO_GL unset"):
         write_video(play(), tmp_path / "out.mp4", 0.1)
     assert not list(tmp_path.iterdir())
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from locorl import PhysicsConfig, flat_scene
-from locorl.simulation.make import SimulatorConfig, make_simulator
+from locorl.simulation.make import SimulatorConfig, find_device, make_simulator
 from locorl.simulation.simulator import Simulator
 from locorl_box import Bodies
 
@@ -271,6 +271,14 @@ def test_bad_configurations_are_refused():
         SimulatorConfig(device="cuda")
     with pytest.raises(ValueError, match="at least 1"):
         SimulatorConfig(threads=0)
+
+
+@pytest.mark.parametrize("device", ["cuda", "quantum"])
+def test_a_device_that_is_not_there_is_named(device):
+    if device == "cuda" and torch.cuda.is_available():
+        pytest.skip("there is one")
+    with pytest.raises(ValueError, match=f"no device '{device}' here"):
+        find_device(SimulatorConfig("warp", device))
 
 
 def test_missing_warp_is_explained(batch, designs, monkeypatch):

@@ -49,10 +49,25 @@ def test_the_view_shows_waypoints_and_a_robot(picture):
 def test_the_picture_is_written_whole(picture, tmp_path):
     import matplotlib.image
 
-    path = tmp_path / "new" / "terrain.png"
+    path = tmp_path / "terrain.png"
     Terrain(kinds=("hurdles",), levels=2, show=True, output=path).run()
     image = matplotlib.image.imread(path)
     assert image.shape[0] > 400
     assert image.shape[1] > 1000
     assert np.ptp(image[..., :3], axis=-1).max() > 0.3  # in colour
     assert [file.name for file in path.parent.iterdir()] == ["terrain.png"]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "name", "message"),
+    [
+        (("hills",), "terrain.txt", r"terrain\.txt: a picture is a \.png file"),
+        (("hills",), "nowhere/terrain.png", "folder .*nowhere does not exist"),
+        ((), "terrain.png", "name at least one kind"),
+    ],
+)
+def test_impossible_pictures_are_refused(tmp_path, kinds, name, message):
+    pytest.importorskip("matplotlib")
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        Terrain(kinds=kinds, levels=1, show=True, output=tmp_path / name).run()
+    assert not list(tmp_path.iterdir())

@@ -37,6 +37,8 @@ def sobol_designs(factory: BodyFactory, count: int, seed: int) -> Array:
 
 def _keep_feasible(factory: BodyFactory, count: int, draw: Callable[[], Array]) -> Array:
     """The first `count` feasible designs of repeated draws of `count`."""
+    if count < 1:
+        raise ValueError(f"there must be at least one body, got {count}")
     chosen: list[Array] = []
     found = 0
     for _ in range(20):
@@ -81,7 +83,13 @@ def feasible(factory: BodyFactory, designs: Array) -> np.ndarray:
 
 
 def design_grid(factory: BodyFactory, levels: int = 3) -> Array:
-    """The regular grid of `levels` values per parameter, (levels^d, d); 81 bodies for the paper's space."""
+    """The regular grid of `levels` values per parameter, (levels^d, d); 81 bodies for the paper's space.
+
+    Raises:
+        ValueError: there is not even one value per parameter.
+    """
+    if levels < 1:
+        raise ValueError(f"a grid needs at least one value per parameter, got {levels}")
     space = factory.space
     axes = [np.linspace(low, high, levels) for low, high in zip(space.low, space.high, strict=True)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(space.names))

@@ -39,6 +39,8 @@ class Play:
     """Level of the terrain, from 0."""
     command: tuple[float, float, float] | None = None
     """Forward and left velocity (m/s) and yaw rate (rad/s); by default the task draws them."""
+    camera: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Give the robots the small depth camera, if the task has none, and show what it sees."""
     seconds: float = 10.0
     """Length of the video."""
     size: tuple[int, int] = (640, 360)
@@ -65,6 +67,7 @@ class Play:
             design=self.design,
             bodies=self.bodies,
             command=self.command,
+            camera=self.camera,
             seed=self.seed,
         )
         if self.output is None:

@@ -25,7 +25,7 @@ def make_bodies(factory: BodyFactory, designs: Array, scene: mujoco.MjSpec) -> B
         ValueError: a design has no stance, or the shape does not fit the design space.
     """
     designs = np.asarray(designs, dtype=np.float64)
-    if designs.ndim != 2 or designs.shape[1] != len(factory.space.names):
+    if designs.ndim != 2 or designs.shape[1] != len(factory.space.names) or not len(designs):
         raise ValueError(f"designs must be (n, {len(factory.space.names)}), got {designs.shape}")
     bodies = factory.batch(designs, scene)
     if not bodies.feasible.all():

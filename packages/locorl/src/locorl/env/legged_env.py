@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from locorl.env.action import check_action
 from locorl.env.commands import VelocityCommands
 from locorl.env.contacts import Contacts
 from locorl.env.depth_stream import DepthStream
@@ -25,7 +26,7 @@ from locorl.env.scoring import Scoring
 from locorl.env.state import Motion, Stateful, read_motion
 from locorl.env.step_info import StepInfo
 from locorl.interfaces import Array, BodyBatch, BodyFactory
-from locorl.simulation.make import SimulatorConfig, make_simulator
+from locorl.simulation.make import SimulatorConfig, find_device, make_simulator
 from locorl.simulation.scene import flat_scene
 from locorl.tasks.task import TaskConfig
 from locorl.terrain.curriculum import Curriculum
@@ -66,7 +67,7 @@ class LeggedEnv:
     ) -> None:
         self.task, self.factory = task, factory
         simulator = simulator or SimulatorConfig(threads=threads)
-        self.device = torch.device(simulator.device)
+        self.device = find_device(simulator)
         self.num_envs = len(designs)
         self.dt = task.physics.control_dt
         self.generator = torch.Generator(self.device).manual_seed(seed)
@@ -197,8 +198,12 @@ class LeggedEnv:
 
         Returns:
             Observation (group -> (N, dim)), reward (N,), terminated (N,), truncated (N,), `StepInfo`.
+
+        Raises:
+            ValueError: the action has another shape, or is NaN; nothing has changed then.
         """
         task = self.task
+        action = check_action(action, (self.num_envs, self.num_actions), self.device)
         last_action = self.action
         self.action = action.clamp(-task.action_clip, task.action_clip)
         arriving = self.action if self._delay is None else self._delay.apply(self.action)

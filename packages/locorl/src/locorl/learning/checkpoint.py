@@ -64,8 +64,8 @@ def load(path: Path) -> dict[str, Any]:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         raise CheckpointError(
-            f"{path} is not a readable checkpoint ({type(error).__name__}: {error}); it may be truncated: "
-            "delete it to start again, or restore a copy"
+            f"{path} is not a readable checkpoint ({type(error).__name__}): it is truncated or another kind of file; "
+            "restore a copy, or start again in another folder"
         ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else type(content).__name__

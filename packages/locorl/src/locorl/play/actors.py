@@ -96,7 +96,7 @@ def check_fits(actor: Actor, env: LeggedEnv) -> None:
     if dict(card.dims) != dict(env.group_dims):
         raise ValueError(
             f"this policy observes {dict(card.dims)}, as in task '{card.task.name}'; task '{env.task.name}' gives "
-            f"{dict(env.group_dims)}: play it on its own task, or train one for this"
+            f"{dict(env.group_dims)}: play it on its own task and preset, or train one for this"
         )
     known = (card.task.action_scale, card.task.physics.control_dt)
     if known != (env.task.action_scale, env.dt):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from locorl.bodies.designs import repeat_design, sample_designs
+from locorl.env.depth_camera import DepthConfig
 from locorl.env.randomisation import no_randomisation
 from locorl.interfaces import Array, BodyFactory
 from locorl.learning.evaluate import Actor
@@ -36,6 +37,7 @@ class Choice:
         design: of the robot; None for the nominal body, or random ones if there are several.
         bodies: number of robots.
         command: vx, vy (m/s), yaw rate (rad/s); None leaves it to the task.
+        camera: whether robots of a task without a depth camera get the small one.
         seed: of everything random.
     """
 
@@ -47,6 +49,7 @@ class Choice:
     design: tuple[float, ...] | None = None
     bodies: int = 1
     command: Command | None = None
+    camera: bool = False
     seed: int = 0
 
     def start(self) -> Session:
@@ -57,9 +60,13 @@ class Choice:
             LookupError: no installed package knows the robot.
             CheckpointError: the policy cannot be read.
         """
+        if self.command is not None and not np.isfinite(self.command).all():
+            raise ValueError(f"a command is three finite numbers: forward, left, turn; got {self.command}")
         actor = make_actor(self.policy, self.seed)
         factory = find_factory(self.robot)
         task = at_level(calm(self._task(actor)), self.level)
+        if self.camera and task.camera is None:
+            task = replace(task, camera=DepthConfig.small())
         return Session(factory, self.designs(factory), task, actor, self.command, self.seed)
 
     @property

@@ -32,6 +32,12 @@ _CALM, _STEADY = 0.15, 1.0
 """Time constants with which the camera follows the robot's position and heading, s."""
 
 
+_WAY_OUT = (
+    "leave MUJOCO_GL unset and install EGL (Debian and Ubuntu: apt install libegl1 libgl1-mesa-dri); "
+    "`locorl play` without -o needs none"
+)
+
+
 def gl_context(width: int, height: int) -> Any:
     """An OpenGL context, made current; EGL on Linux, which needs no screen, unless MUJOCO_GL says otherwise.
 
@@ -48,10 +54,21 @@ def gl_context(width: int, height: int) -> Any:
         context = GLContext(width, height)
         context.make_current()
     except (ImportError, AttributeError, RuntimeError, OSError) as error:
-        raise PlayError(
-            f"a video needs OpenGL, and there is none here ({error}): install EGL (Debian and Ubuntu: "
-            "apt install libegl1 libgl1-mesa-dri), or leave out -o to watch in the browser"
-        ) from error
+        raise PlayError(f"pictures need OpenGL, and there is none here ({error}): {_WAY_OUT}") from error
+    return context
+
+
+def render_context(model: mujoco.MjModel) -> mujoco.MjrContext:
+    """MuJoCo's resources for drawing off the screen, in the present OpenGL context.
+
+    Raises:
+        PlayError: OpenGL does not work, as GLFW without a screen.
+    """
+    try:
+        context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+    except mujoco.FatalError as error:
+        raise PlayError(f"pictures need OpenGL, and it does not work here: {_WAY_OUT}") from error
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
     return context
 
 
@@ -89,8 +106,7 @@ class RobotCamera:
         self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 100)
         # one for each camera: MuJoCo's contexts disturb each other within one
         self._gl = gl_context(width, height)
-        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._context = render_context(model)
         self._heading: float | None = None
 
     def draw(self, qpos: Array, marks: Array, reached: int = 0) -> Frame:

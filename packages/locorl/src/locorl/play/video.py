@@ -42,7 +42,7 @@ def write_video(
         FileNotFoundError: the folder of `path` does not exist.
         PlayError: there is no OpenGL, or a package is missing.
     """
-    steps = round(seconds / session.env.dt)
+    steps = round(seconds / session.env.dt) if math.isfinite(seconds) else 0
     if path.suffix.lower() != ".mp4":
         raise ValueError(f"{path}: a video is an .mp4 file")
     if steps < 1 or min(size) < 64 or size[0] % 2 or size[1] % 2:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import torch
+
 from locorl.interfaces import Array, BodyBatch
 from locorl.simulation.cpu import CpuSimulator
 from locorl.simulation.simulator import Simulator
@@ -32,6 +34,23 @@ class SimulatorConfig:
             raise ValueError(f"the 'cpu' simulator runs on the CPU; for device '{self.device}' take backend 'warp'")
         if self.contacts < 1 or (self.threads is not None and self.threads < 1):
             raise ValueError(f"SimulatorConfig: contacts and threads must be at least 1, got {self}")
+
+
+def find_device(config: SimulatorConfig) -> torch.device:
+    """Where the simulator's tensors live.
+
+    Raises:
+        ValueError: this machine, or this PyTorch, has no such device.
+    """
+    try:
+        device = torch.device(config.device)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise ValueError(
+            f"PyTorch finds no device '{config.device}' here: take 'cpu', or install the driver of a GPU and a PyTorch "
+            "that uses it"
+        ) from error
+    return device
 
 
 def make_simulator(

@@ -15,7 +15,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LightSource, LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 
-from locorl.play.renderer import Frame, gl_context
+from locorl.play.renderer import Frame, gl_context, render_context
 from locorl.simulation.scene import PhysicsConfig, flat_scene
 from locorl.terrain.map import TerrainMap
 
@@ -45,14 +45,21 @@ def save_picture(maps: Sequence[TerrainMap], path: Path) -> None:
     """Write a PNG with one row per map: its easiest, middle and hardest tile of the first column, and a view.
 
     Raises:
+        ValueError: there is no map, or `path` does not end in .png.
+        FileNotFoundError: the folder of `path` does not exist.
         PlayError: there is no OpenGL to draw the view with.
     """
+    if not maps:
+        raise ValueError("there is no terrain to draw: name at least one kind")
+    if path.suffix.lower() != ".png":
+        raise ValueError(f"{path}: a picture is a .png file")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: the folder {path.parent} does not exist")
     heights = [_row_height(terrain) for terrain in maps]
     figure = Figure((_WIDTH, sum(heights)), facecolor="white", dpi=110)
     rows = figure.subfigures(len(maps), 1, squeeze=False, height_ratios=heights)
     for row, terrain in zip(rows[:, 0], maps, strict=True):
         _draw_row(row, terrain)
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.part")
     try:
         figure.savefig(temporary, format="png")
@@ -93,8 +100,7 @@ def render(terrain: TerrainMap, level: int, column: int, width: int = 800, heigh
         for point in course:
             _add(scene, mujoco.mjtGeom.mjGEOM_SPHERE, point + np.array((0.0, 0.0, 0.1)), (0.1, 0.1, 0.1), _WAYPOINT)
         _add_figure(scene, terrain.origins[level, column].double().numpy(force=True))
-        drawer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, drawer)
+        drawer = render_context(model)
         window = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(window, scene, drawer)
         pixels = np.empty((height, width, 3), np.uint8)
