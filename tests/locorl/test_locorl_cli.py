@@ -12,7 +12,7 @@ import locorl.cli
 import locorl.providers
 import numpy as np
 import pytest
-from locorl import load_policy
+from locorl import load_policy, make_task
 from locorl.play.errors import PlayError
 from locorl.play.renderer import gl_context
 from locorl_box import BoxQuadruped
@@ -63,6 +63,11 @@ def test_train_and_resume(monkeypatch, capsys, trained):
     assert load_policy(trained / "policy.pt").card.samples == 3 * 48
     out = capsys.readouterr().out
     assert "8 robots x 6 steps x 3 iterations" in out
+
+
+def test_train_takes_a_task_by_name(monkeypatch, tmp_path):
+    run(monkeypatch, "train", tmp_path, "--iterations", 1, "--task", "parkour-stones", "--preset", "paper", *TRAIN)
+    assert load_policy(tmp_path / "policy.pt").card.task == make_task("parkour-stones", "paper")
 
 
 def test_evaluate_prints_json(monkeypatch, capsys, trained):
@@ -152,6 +157,8 @@ def test_play_without_its_extra_says_what_to_install(monkeypatch, capsys):
         (["evaluate", "{run}/policy.pt", "--robot", "box", "--bodies", 0], "at least one body, got 0"),
         (["evaluate", "{run}/policy.pt", "--robot", "box", "--grid", 0], "at least one value per parameter"),
         (["train", "{run}/x", "--robot", "box", "--num-envs", 0], "at least one body, got 0"),
+        (["train", "{run}/x", "--task", "dance", *TRAIN], "there is no task 'dance'"),
+        (["train", "{run}/x", "--task", "parkour-stones", "--task.action-scale", 0.5, *TRAIN], "give either"),
         (["train", "{run}", "--iterations", 2, "--seed", 5, *TRAIN], "seed: 0 -> 5"),
         (["evaluate", "{run}/policy.pt", "--robot", "crate"], "cannot control 'crate'"),
         (["finetune", "{run}/policy.pt", "{run}/x", "--design", 2, 1, 1, 1, "--robot", "box"], "front_thigh=2 not in"),

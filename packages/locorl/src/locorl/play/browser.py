@@ -26,6 +26,8 @@ from locorl.play.shapes import surfaces
 _WORLD = "/world"
 _LATE = 0.2
 """Lag behind real time that is given up rather than caught up, s."""
+_DEPTH_WIDTH = 360
+"""Up to which the depth image is enlarged, px."""
 _INFO_PERIOD = 0.2
 """Time between two updates of the numbers, s."""
 
@@ -249,7 +251,9 @@ class Page:
 
 
 def _gray(depth: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.repeat(depth[:, :, None], 3, axis=2)
+    """As colours, and enlarged: browsers show small images in their own size."""
+    times = max(1, _DEPTH_WIDTH // depth.shape[1])
+    return np.repeat(depth.repeat(times, axis=0).repeat(times, axis=1)[:, :, None], 3, axis=2)
 
 
 def _html(content: str) -> str:
