@@ -64,18 +64,20 @@ class CpuSimulator(Simulator):
         self._batch = batch_of(self.model, self.num_envs, threads or available_cores(), self.fields)
 
         bind = self._batch.bind
-        self._qvel, self._torque = bind("qvel"), bind("actuator_force")
+        self._qvel = bind("qvel")
         self.qpos = torch.from_numpy(bind("qpos"))
         self.qvel = torch.from_numpy(self._qvel)
         self.ctrl = torch.from_numpy(bind("ctrl"))
-        self.torque = _read_only(self._torque)
+        self.torque = _read_only(bind("actuator_force"))
         self.sensors = _read_only(bind("sensordata"))
         self._feet = np.array(self._site_ids(feet), dtype=np.int64)
         self._sites = bind("site_xpos") if len(feet) else np.zeros((self.num_envs, 0, 3))
         self._foot = np.zeros((self.num_envs, len(feet), 3))
         self.foot_position = torch.from_numpy(self._foot)
         self._work = np.zeros(self.num_envs)
-        self._power = np.zeros((self.num_envs, self.model.nu))
+        shape = (self.num_envs, substeps)
+        self._record = {"actuator_force": np.zeros((*shape, self.model.nu)), "qvel": np.zeros((*shape, self.model.nv))}
+        self._rate, self._power = np.zeros((2, *shape, self.model.nu))
         self.positive_work = torch.from_numpy(self._work)
         self.diverged = torch.zeros(self.num_envs, dtype=torch.bool)
         self._overflows = dict.fromkeys(_OVERFLOW, 0)
@@ -84,17 +86,17 @@ class CpuSimulator(Simulator):
     def step(self) -> None:
         """Advance one control period, adding up positive joint work at every physics step."""
         self.diverged.zero_()
-        self._work[:] = 0.0
-        for _ in range(self.substeps):
-            # torque and rate of the same instant: MuJoCo reports the torque at the start of the step
-            rate = self._qvel[:, 6:].copy()
-            try:
-                self._batch.step()
-            except SimulationError as error:
-                self.diverged[torch.from_numpy(np.asarray(error.ids, dtype=np.int64))] = True
-            np.multiply(self._torque, rate, out=self._power)
-            np.maximum(self._power, 0.0, out=self._power)
-            self._work += self._power.sum(axis=1)
+        # torque and rate of the same instant: MuJoCo reports the torque at the start of a step, the rate at its end
+        self._rate[:, 0] = self._qvel[:, 6:]
+        try:
+            # one call for all steps: each call loads every simulation's body anew
+            self._batch.rollout(self.substeps, record=tuple(self._record), out=self._record)
+        except SimulationError as error:
+            self.diverged[torch.from_numpy(np.asarray(error.ids, dtype=np.int64))] = True
+        self._rate[:, 1:] = self._record["qvel"][:, :-1, 6:]
+        np.multiply(self._record["actuator_force"], self._rate, out=self._power)
+        np.maximum(self._power, 0.0, out=self._power)
+        np.sum(self._power, axis=(1, 2), out=self._work)
         self._work *= self.timestep
         np.take(self._sites, self._feet, axis=1, out=self._foot)
         self._read_warnings()
