@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from importlib.metadata import EntryPoint
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from locorl.config import from_dict, to_dict
 from locorl.simulation.scene import PhysicsConfig, flat_scene
+from locorl.terrain import kinds as kinds_module
 from locorl.terrain.kinds import COURSES, KINDS
 from locorl.terrain.map import TerrainConfig, TerrainMap
 from locorl.terrain.surface import box_top
@@ -401,11 +403,22 @@ def test_difficulty_runs_from_the_first_to_the_last_level():
     assert TerrainMap(config("platforms", levels=1)).obstacle[0, 0].item() == pytest.approx(0.45)
 
 
-def test_a_new_terrain_is_one_function():
-    def wall(difficulty, rng, size):
-        x, half, height = size.length - 1.0, size.width / 2, 0.1 + difficulty
-        return Tile((Box.between((x - 0.1, -half, 0.0), (x + 0.1, half, height)),), (1.0, 0.0), obstacle=height)
+def wall(difficulty, rng, size):
+    x, half, height = size.length - 1.0, size.width / 2, 0.1 + difficulty
+    return Tile((Box.between((x - 0.1, -half, 0.0), (x + 0.1, half, height)),), (1.0, 0.0), obstacle=height)
 
+
+def test_other_packages_bring_terrains(monkeypatch):
+    point = EntryPoint("wall", f"{__name__}:wall", "legged.terrains")
+    monkeypatch.setattr(EntryPoint, "load", lambda self: wall)
+    monkeypatch.setattr(kinds_module, "entry_points", lambda group: [point] if group == "legged.terrains" else [])
+    terrain = TerrainMap(TerrainConfig(kinds=("wall",), levels=2))
+    assert terrain.obstacle.tolist() == pytest.approx(np.array([[0.1, 0.1], [1.1, 1.1]]))
+    with pytest.raises(ValueError, match=r"no terrain is called \['moat'\].*wall"):
+        TerrainMap(TerrainConfig(kinds=("moat",)))
+
+
+def test_a_new_terrain_is_one_function():
     terrain = TerrainMap(TerrainConfig(kinds=("wall", "flat"), levels=2), kinds={**KINDS, "wall": wall})
     world = Scene(terrain)
     x, y = terrain.tile_corner(1, 0)

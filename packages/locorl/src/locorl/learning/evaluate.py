@@ -41,12 +41,12 @@ class EvalConfig:
     settle: float = 2.0
     """Tracking error and energy count from here on, s."""
     robots_per_body: int = 1
-    level: int | None = None
-    """Level of the terrain; None spreads the robots of each body evenly over all levels."""
     reset_joint: float = 0.0
     """Half-width of joint deviations at the start, rad: makes repeated robots differ."""
     seed: int = 0
     """Same seed, same commands and starts, whatever the bodies: common random numbers."""
+    level: int | None = None
+    """Level of the terrain; None spreads the robots of each body evenly over all levels."""
 
     def __post_init__(self) -> None:
         """Refuse an episode without anything to measure."""

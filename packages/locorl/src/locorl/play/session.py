@@ -23,12 +23,12 @@ _SMOOTHING = 0.5
 
 @dataclass(frozen=True)
 class Score:
-    """How robots did until their first fall; arrays are (N,).
+    """How robots did until their first fall or the end of their course; arrays are (N,).
 
     Attributes:
         survived: no fall so far, bool.
-        distance: way forward in the base frame, m.
-        speed: mean forward speed, m/s.
+        distance: way forward, or towards the waypoints, m.
+        speed: mean speed that way, m/s.
         commanded: mean commanded forward speed, m/s.
     """
 
@@ -92,6 +92,7 @@ class Session:
         self.actor.reset()
         self.speed = torch.zeros(n)
         self.falls = torch.zeros(n, dtype=torch.long)
+        self._arrived = torch.zeros(n, dtype=torch.bool)
         self._distance, self._commanded, self._time = (torch.zeros(n, dtype=torch.float64) for _ in range(3))
 
     def step(self) -> None:
@@ -104,10 +105,11 @@ class Session:
         self._obs, _, terminated, truncated, info = env.step(self.actor.act(self._obs))
         self.actor.reset(terminated | truncated)
         self.falls += terminated.cpu()
-        forward, upright = info.velocity[:, 0].cpu(), self.falls == 0
-        self._distance += forward * env.dt * upright
-        self._commanded += commanded * env.dt * upright
-        self._time += env.dt * upright
+        forward, under_way = info.speed.cpu(), (self.falls == 0) & ~self._arrived
+        self._distance += forward * env.dt * under_way
+        self._commanded += commanded * env.dt * under_way
+        self._time += env.dt * under_way
+        self._arrived |= info.success.cpu()
         self.speed += (forward - self.speed) * (env.dt / _SMOOTHING)
 
     def _ask(self, vx: float, vy: float, yaw_rate: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from importlib.metadata import entry_points
 from types import MappingProxyType
 
 from locorl.terrain.high_jump import high_jump, hurdles, platforms
@@ -33,3 +34,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
 
 COURSES = ("high_jump", "hurdles", "platforms", "long_jump", "tilted_stones")
 """Kinds that are run from end to end, on tiles of 18 x 4 m."""
+
+
+def installed_kinds() -> Mapping[str, Kind]:
+    """Kinds that other installed packages bring, by the name of their entry point in group `legged.terrains`."""
+    return {point.name: point.load() for point in entry_points(group="legged.terrains")}

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from locorl.interfaces import Array
 from locorl.terrain.heights import HeightGrid, level_ground
-from locorl.terrain.kinds import KINDS
+from locorl.terrain.kinds import KINDS, installed_kinds
 from locorl.terrain.surface import HeightField, box_top, raise_boxes
 from locorl.terrain.tile import LOCOMOTION, PIT, Box, Kind, Tile, TileSize
 
@@ -73,7 +73,7 @@ class TerrainMap:
     Args:
         config: kinds, levels, sizes.
         device: where the tensors live.
-        kinds: the functions behind the names of `config.kinds`.
+        kinds: the functions behind the names of `config.kinds`; other names are looked up among the installed ones.
 
     Attributes:
         origins: (levels, columns, 3), world position of each tile's start on the ground, m.
@@ -98,6 +98,8 @@ class TerrainMap:
     ) -> None:
         self.config = config = config or TerrainConfig()
         self.device = torch.device(device)
+        if not set(config.kinds) <= set(kinds):
+            kinds = {**installed_kinds(), **kinds}
         unknown = sorted(set(config.kinds) - set(kinds))
         if unknown:
             raise ValueError(f"no terrain is called {unknown}; there are: {', '.join(kinds)}")
