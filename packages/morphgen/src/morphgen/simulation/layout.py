@@ -24,7 +24,7 @@ class Layout:
         joints: the 12 actuated joints, in the order of qpos[7:], qvel[6:] and ctrl.
         actuators: the 12 position servos, named as their joints.
         feet: sites at the centres of the foot spheres.
-        foot_contact: sensors of each foot, size 4: number of contacts, then the net force that it exerts, world axes, N.
+        foot_contact: sensors of each foot, size 4: count of contacts, then the net force that it exerts, world axes, N.
         links: bodies other than feet: the base, then hip, thigh and shank of each leg.
         link_contact: sensors that count the contacts of each of the links.
         link_leg: leg index of each of the links, -1 for the base.
