@@ -65,7 +65,7 @@ def load(path: Path) -> dict[str, Any]:
     except Exception as error:
         raise CheckpointError(
             f"{path} is not a readable checkpoint ({type(error).__name__}): it is truncated or another kind of file; "
-            "restore a copy, or start again in another folder"
+            "restore a copy, or, if a run made it, delete it and start that run again"
         ) from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         found = content.get("format") if isinstance(content, dict) else type(content).__name__
