@@ -41,7 +41,7 @@ class Benchmark:
     """Options."""
 
     robot: str = "go2"
-    envs: int = 1024
+    envs: int = 256
     pairs: int = 24
     steps: int = 50
     """Control steps in one run of the spatial comparison."""
