@@ -29,11 +29,11 @@ class Guidance:
         self._nowhere = torch.zeros(1, 1, device=device)
         self._nobody = torch.zeros(num_envs, dtype=torch.bool, device=device)
 
-    def speed(self, now: Motion) -> Tensor:
-        """Speed forward, or towards the next waypoint, (N,), m/s; the first column of the command asks for it."""
+    def speed(self, now: Motion, direction: Tensor) -> Tensor:
+        """Speed forward, or along what `direction` gave, (N,), m/s; the first column of the command asks for it."""
         if self.goals is None:
             return now.velocity[:, 0]
-        return (now.velocity_world * self.goals.direction(now.position)).sum(dim=1)
+        return (now.velocity_world * direction).sum(dim=1)
 
     def progress(self, now: Motion, speed: Tensor) -> Tensor:
         """Speed along the commanded way, sideways commands included, (N,), m/s; `speed` is what `speed` gave."""

@@ -213,9 +213,12 @@ class LeggedEnv:
 
         now = read_motion(self.sim)
         self.contacts.update()
-        reward, terms = self.scoring.reward(now, self.body, self.contacts, self.guidance, self.action, last_action)
+        direction = self.guidance.direction(now)
+        reward, terms = self.scoring.reward(
+            now, self.body, self.contacts, self.guidance, direction, self.action, last_action
+        )
         diverged = self.sim.diverged.clone()
-        speed, error = self.progress.add(now, diverged)
+        speed, error = self.progress.add(now, direction, diverged)
         success = self.guidance.reach(now)
         terminated = self._fallen(now) | diverged
         reward = torch.where(diverged, torch.zeros_like(reward), reward)

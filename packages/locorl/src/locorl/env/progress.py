@@ -24,13 +24,13 @@ class Progress(Stateful):
         self.way, self.asked, self._error = (torch.zeros(num_envs, device=device) for _ in range(3))
         self._steps = torch.zeros((), dtype=torch.long)
 
-    def add(self, now: Motion, diverged: Tensor) -> tuple[Tensor, Tensor]:
+    def add(self, now: Motion, direction: Tensor, diverged: Tensor) -> tuple[Tensor, Tensor]:
         """Take in one control step; speed and tracking error of each robot, (N,) each, m/s.
 
         A simulation that failed has come nowhere: what it did before it failed proves nothing.
         """
         command = self._guidance.commands.command
-        speed = self._guidance.speed(now)
+        speed = self._guidance.speed(now, direction)
         error = (speed - command[:, 0]).abs()
         self.way += self._guidance.progress(now, speed) * self._dt
         self.way.masked_fill_(diverged, 0.0)

@@ -45,6 +45,7 @@ class Scoring(Stateful):
         body: Embodiment,
         contacts: Contacts,
         guidance: Guidance,
+        direction: Tensor,
         action: Tensor,
         last_action: Tensor,
     ) -> tuple[Tensor, dict[str, Tensor]]:
@@ -74,7 +75,7 @@ class Scoring(Stateful):
             colliding_links=contacts.colliding_links(),
             specific_power=self._sim.positive_work.float() / self._dt / body.weight,
             velocity_world=now.velocity_world,
-            goal_direction=guidance.direction(now),
+            goal_direction=direction,
             heading_error=heading,
             gravity=now.gravity,
             edge_feet=edges,
