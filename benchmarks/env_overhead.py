@@ -12,6 +12,7 @@ turns in one process. Prints both rates and the median of their ratios; the targ
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from pathlib import Path
 
 # not the folder of this file: it has a morphgen.py, which `import morphgen` would find
 sys.path[0] = str(Path(__file__).parents[1])
+# as `import locorl` does where torch is not loaded yet
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 import torch

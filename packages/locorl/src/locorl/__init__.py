@@ -1,5 +1,11 @@
 """locorl: simulate thousands of different legged bodies at once and train one policy for all of them."""
 
+import os
+
+# torch's idle OpenMP threads spin for milliseconds on the cores that the simulator's threads need, unless told
+# not to before torch is loaded
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
 from locorl.bodies.designs import design_grid, feasible, repeat_design, sample_designs, sobol_designs
 from locorl.bodies.samplers import MorphologyConfig, MorphologySampler, make_sampler
 from locorl.env.commands import CommandConfig

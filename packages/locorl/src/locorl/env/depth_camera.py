@@ -9,7 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from locorl.env.kinematics import rotation
 from locorl.env.raycast import RayCaster
+from locorl.env.state import check_ranges
 from locorl.terrain.heights import HeightGrid
 
 
@@ -74,8 +76,9 @@ class DepthConfig:
             raise ValueError(f"DepthConfig: need columns left by the crop and 0 < field_of_view < 180, got {self}")
         if not 0.0 <= self.near < self.far:
             raise ValueError(f"DepthConfig: need 0 <= near < far, got {self.near} and {self.far} m")
-        if min(self.relative_noise, self.additive_noise) < 0 or self.pitch[0] > self.pitch[1]:
-            raise ValueError(f"DepthConfig: need noise >= 0 and a rising range of pitch, got {self}")
+        if min(self.relative_noise, self.additive_noise) < 0:
+            raise ValueError(f"DepthConfig: need noise >= 0, got {self}")
+        check_ranges(self, "pitch")
         if not (0.0 <= self.dropout <= 1.0 and 0.0 <= self.edge_dropout <= 1.0):
             raise ValueError(f"DepthConfig: dropout is a share, 0 to 1, got {self.dropout} and {self.edge_dropout}")
 
@@ -151,19 +154,6 @@ def mounted(config: DepthConfig, position: Tensor, quat: Tensor, pitch: Tensor) 
     c, s = torch.cos(0.5 * pitch), torch.sin(0.5 * pitch)
     turned = torch.stack((w * c - y * s, x * c - z * s, y * c + w * s, z * c + x * s), dim=1)
     return position + rotation(quat) @ offset, turned
-
-
-def rotation(quat: Tensor) -> Tensor:
-    """Matrices of unit quaternions (n, 4), (n, 3, 3)."""
-    w, x, y, z = quat.unbind(dim=1)
-    return torch.stack(
-        (
-            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-        ),
-        dim=1,
-    ).view(-1, 3, 3)
 
 
 def _rays(config: DepthConfig) -> Tensor:

@@ -46,13 +46,18 @@ class Guidance:
         """Unit vector to the next waypoint, world, (N, 3); zero, to be broadcast, without waypoints."""
         return self._nowhere if self.goals is None else self.goals.direction(now.position)
 
-    def heading_errors(self, now: Motion, rows: Tensor | slice = EVERYONE) -> Tensor:
-        """Yaw to the next waypoint and to the one after, or to the heading to keep, minus the robot's, (n, 2), rad."""
+    def heading_error(self, now: Motion, rows: Tensor | slice = EVERYONE) -> Tensor:
+        """Yaw to the next waypoint, or to the heading to keep, minus the robot's, (n,), rad."""
         yaw = yaw_of(now.quat)
         if self.goals is None:
-            error = wrap(self.commands.heading[rows] - yaw)
-            return torch.stack((error, error), dim=1)
-        return torch.stack([self.goals.heading_error(now.position, yaw, steps, rows) for steps in (0, 1)], dim=1)
+            return wrap(self.commands.heading[rows] - yaw)
+        return self.goals.heading_error(now.position, yaw, rows=rows)
+
+    def heading_errors(self, now: Motion, rows: Tensor | slice = EVERYONE) -> Tensor:
+        """`heading_error`, and the same to the waypoint after the next, or once more, (n, 2), rad."""
+        error = self.heading_error(now, rows)
+        after = error if self.goals is None else self.goals.heading_error(now.position, yaw_of(now.quat), 1, rows)
+        return torch.stack((error, after), dim=1)
 
     def reach(self, now: Motion) -> Tensor:
         """Count one control step towards the waypoints; robots that have reached their last one, (N,) bool."""
@@ -64,4 +69,4 @@ class Guidance:
     def steer(self, now: Motion, rows: Tensor | slice = EVERYONE) -> None:
         """Set the yaw rates of robots `rows`, of which `now` is, where a heading or a waypoint gives them."""
         if self._steers:
-            self.commands.steer(self.heading_errors(now, rows)[:, 0], rows)
+            self.commands.steer(self.heading_error(now, rows), rows)

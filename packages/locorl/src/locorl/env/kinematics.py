@@ -22,6 +22,19 @@ def to_base_frame(quat: Tensor, vector: Tensor) -> Tensor:
     return vector + 2.0 * (w * cross + torch.linalg.cross(u, -cross))
 
 
+def rotation(quat: Tensor) -> Tensor:
+    """Matrices of unit quaternions (n, 4), (n, 3, 3)."""
+    w, x, y, z = quat.unbind(dim=1)
+    return torch.stack(
+        (
+            *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+            *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+            *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+        ),
+        dim=1,
+    ).view(-1, 3, 3)
+
+
 def projected_gravity(quat: Tensor) -> Tensor:
     """The unit vector pointing down, seen from the base: R(quat)^T (0, 0, -1), (N, 3)."""
     w, x, y, z = quat.unbind(dim=1)

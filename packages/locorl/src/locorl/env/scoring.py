@@ -58,7 +58,7 @@ class Scoring(Stateful):
         if "stumble" in self._terms:
             forces = contacts.foot_forces()
         if "heading_tracking" in self._terms:
-            heading = guidance.heading_errors(now)[:, 0]
+            heading = guidance.heading_error(now)
         torque = self._sim.torque.to(torch.float32, copy=True)
         state = StepState(
             velocity=now.velocity,
