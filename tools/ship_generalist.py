@@ -19,8 +19,8 @@ import numpy as np
 import tyro
 from locorl import EvalConfig, evaluate, load_policy, sample_designs
 from locorl.commands.evaluate import to_json
-from locorl.learning.metrics import read_metrics
 from locorl.providers import find_factory
+from locorl.training.metrics import read_metrics
 
 from legged_codesign.provenance import provenance
 from legged_codesign.report.figures import pretraining

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from locorl import EvalConfig, Policy, evaluate, load_policy, sample_designs
 from locorl.config import from_dict
-from locorl.learning.train import TrainConfig
+from locorl.training.trainer import TrainConfig
 from morphgen import BodyFactory
 
 from legged_codesign.pretrained import shipped_policy

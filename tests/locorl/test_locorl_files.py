@@ -11,11 +11,10 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from locorl import CheckpointError, FinetuneConfig, TaskConfig, TrainConfig, load_policy, table_i
+from locorl import CheckpointError, FinetuneConfig, TaskConfig, TrainConfig, checkpoint, load_policy, table_i
 from locorl.config import config_hash, differences, from_dict, to_dict
-from locorl.learning import checkpoint
-from locorl.learning.metrics import MetricsFile, read_metrics
 from locorl.learning.policy import PolicyCard
+from locorl.training.metrics import MetricsFile, read_metrics
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 

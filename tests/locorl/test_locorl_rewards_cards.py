@@ -7,8 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from locorl import CheckpointError, NetworkConfig, RewardConfig, load_policy
-from locorl.learning import checkpoint
+from locorl import CheckpointError, NetworkConfig, RewardConfig, checkpoint, load_policy
 from locorl.learning.networks import ActorCritic
 
 DIMS = {"proprio": 5, "explicit": 3, "implicit": 4}

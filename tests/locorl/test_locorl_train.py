@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from locorl import CheckpointError, DivergedError, TrainConfig, Trainer, sample_designs
+from locorl import CheckpointError, DivergedError, TrainConfig, Trainer, checkpoint, sample_designs
 from locorl.bodies.samplers import MorphologyConfig
 from locorl.config import to_dict
-from locorl.learning import checkpoint
-from locorl.learning.metrics import read_metrics
+from locorl.training.metrics import read_metrics
 from locorl_box import BoxQuadruped
 
 

@@ -13,7 +13,7 @@ import yaml
 from codesign_bo.confirm import Gain
 from codesign_bo.records import ConfirmationRecord, TrialRecord
 from codesign_bo.view import Slice
-from locorl.learning.metrics import read_metrics
+from locorl.training.metrics import read_metrics
 
 from legged_codesign.choice import Choice
 

@@ -8,6 +8,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from locorl.bodies.designs import design_grid, feasible, repeat_design, sample_designs, sobol_designs
 from locorl.bodies.samplers import MorphologyConfig, MorphologySampler, make_sampler
+from locorl.checkpoint import CheckpointError
 from locorl.env.commands import CommandConfig
 from locorl.env.depth_camera import DepthCamera, DepthConfig
 from locorl.env.goals import GoalConfig
@@ -16,13 +17,10 @@ from locorl.env.observation import ObservationConfig
 from locorl.env.randomisation import RandomisationConfig, no_randomisation
 from locorl.env.scan import ScanConfig
 from locorl.env.step_info import StepInfo
-from locorl.learning.checkpoint import CheckpointError
-from locorl.learning.evaluate import EvalConfig, Evaluation, evaluate
-from locorl.learning.finetune import FinetuneConfig, Finetuned, finetune
+from locorl.evaluation.evaluate import EvalConfig, Evaluation, evaluate
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.learning.policy import Policy, PolicyCard, load_policy
 from locorl.learning.ppo import PPO, DivergedError, PPOConfig
-from locorl.learning.train import TrainConfig, Trainer
 from locorl.rewards.config import RewardConfig, released_code, table_i
 from locorl.simulation.make import SimulatorConfig
 from locorl.simulation.scene import PhysicsConfig, flat_scene
@@ -30,6 +28,8 @@ from locorl.simulation.simulator import Simulator
 from locorl.tasks import TASKS, TaskConfig, make_task
 from locorl.terrain.curriculum import CurriculumConfig
 from locorl.terrain.map import TerrainConfig, TerrainMap
+from locorl.training.finetune import FinetuneConfig, Finetuned, finetune
+from locorl.training.trainer import TrainConfig, Trainer
 
 __all__ = [
     "PPO",

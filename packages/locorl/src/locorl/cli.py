@@ -8,12 +8,12 @@ import rich
 import tyro
 from rich.markup import escape
 
+from locorl.checkpoint import CheckpointError
 from locorl.commands.evaluate import Evaluate
 from locorl.commands.finetune import Finetune
 from locorl.commands.play import Play
 from locorl.commands.terrain import Terrain
 from locorl.commands.train import Train
-from locorl.learning.checkpoint import CheckpointError
 from locorl.learning.ppo import DivergedError
 from locorl.play.errors import PlayError
 

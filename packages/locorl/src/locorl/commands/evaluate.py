@@ -14,7 +14,7 @@ import tyro
 from rich.table import Table
 
 from locorl.bodies.designs import design_grid, feasible, sample_designs
-from locorl.learning.evaluate import EvalConfig, Evaluation, evaluate
+from locorl.evaluation.evaluate import EvalConfig, Evaluation, evaluate
 from locorl.learning.policy import load_policy
 from locorl.providers import find_factory
 

@@ -10,10 +10,10 @@ import numpy as np
 import tyro
 
 from locorl.commands.evaluate import print_summaries
-from locorl.learning.evaluate import EvalConfig, evaluate
-from locorl.learning.finetune import FinetuneConfig, finetune
+from locorl.evaluation.evaluate import EvalConfig, evaluate
 from locorl.learning.policy import load_policy
 from locorl.providers import find_factory
+from locorl.training.finetune import FinetuneConfig, finetune
 
 
 @dataclass(frozen=True)

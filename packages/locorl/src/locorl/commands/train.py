@@ -10,9 +10,9 @@ import rich
 import tyro
 
 from locorl.learning.policy import load_policy
-from locorl.learning.train import TrainConfig, Trainer
 from locorl.providers import find_factory
 from locorl.tasks import Preset, TaskConfig, make_task
+from locorl.training.trainer import TrainConfig, Trainer
 
 
 @dataclass(frozen=True)

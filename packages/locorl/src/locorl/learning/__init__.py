@@ -1,1 +1,1 @@
-"""Training, fine-tuning and evaluating policies."""
+"""The learning algorithm: networks, rollouts, PPO with discount regularisation."""

@@ -10,9 +10,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from locorl import checkpoint
 from locorl.config import from_dict, to_dict
 from locorl.interfaces import DesignSpace
-from locorl.learning import checkpoint
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.tasks.task import TaskConfig
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from locorl.env.legged_env import LeggedEnv
-from locorl.learning.evaluate import Actor
+from locorl.evaluation.evaluate import Actor
 from locorl.learning.policy import Policy, load_policy
 
 

@@ -17,7 +17,7 @@ import viser
 from numpy.typing import NDArray
 
 from locorl.bodies.designs import sample_designs
-from locorl.learning.checkpoint import CheckpointError
+from locorl.checkpoint import CheckpointError
 from locorl.play.choice import Choice
 from locorl.play.renderer import AHEAD, MARK_RADIUS, NEXT, ON_GROUND, REACHED
 from locorl.play.session import Command, Session

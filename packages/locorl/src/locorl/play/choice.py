@@ -9,8 +9,8 @@ import numpy as np
 from locorl.bodies.designs import repeat_design, sample_designs
 from locorl.env.depth_camera import DepthConfig
 from locorl.env.randomisation import no_randomisation
+from locorl.evaluation.evaluate import Actor
 from locorl.interfaces import Array, BodyFactory
-from locorl.learning.evaluate import Actor
 from locorl.learning.policy import Policy
 from locorl.play.actors import make_actor
 from locorl.play.session import Command, Session

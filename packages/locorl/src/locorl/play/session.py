@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from locorl.env.kinematics import yaw_of
 from locorl.env.legged_env import LeggedEnv
+from locorl.evaluation.evaluate import Actor
 from locorl.interfaces import Array, BodyFactory
-from locorl.learning.evaluate import Actor
 from locorl.play.actors import check_fits
 from locorl.tasks.task import TaskConfig
 

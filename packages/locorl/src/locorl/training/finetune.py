@@ -8,10 +8,10 @@ from pathlib import Path
 
 from locorl.bodies.designs import repeat_design
 from locorl.interfaces import Array, BodyFactory
-from locorl.learning.metrics import read_metrics
 from locorl.learning.policy import Policy
 from locorl.learning.ppo import PPOConfig
-from locorl.learning.train import TrainConfig, Trainer
+from locorl.training.metrics import read_metrics
+from locorl.training.trainer import TrainConfig, Trainer
 
 
 @dataclass(frozen=True)

@@ -13,16 +13,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from locorl import checkpoint
 from locorl.bodies.samplers import FixedSampler, MorphologyConfig, MorphologySampler, make_sampler
 from locorl.config import differences, to_dict
 from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import Array, BodyFactory
-from locorl.learning import checkpoint
-from locorl.learning.metrics import MetricsFile, TrainingProgress
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.learning.policy import Policy, PolicyCard
 from locorl.learning.ppo import PPO, PPOConfig
 from locorl.tasks.task import TaskConfig
+from locorl.training.metrics import MetricsFile, TrainingProgress
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from locorl.learning import checkpoint
+from locorl import checkpoint
 
 
 class MetricsFile:

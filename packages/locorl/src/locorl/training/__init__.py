@@ -1,0 +1,1 @@
+"""Training runs: from scratch and from a generalist, with metrics, checkpoints and resume."""
