@@ -58,7 +58,10 @@ class Waypoints(Stateful):
 
     def ahead(self, steps: int = 0) -> Tensor:
         """The waypoint `steps` after the next one, (N, 3); the last one stays."""
-        return self.course[self._everyone, (self.index + steps).clamp(max=self.count - 1)]
+        return self._ahead(self._everyone, self.index, steps)
+
+    def _ahead(self, rows: Tensor, index: Tensor, steps: int) -> Tensor:
+        return self.course[rows, (index + steps).clamp_(max=self.count - 1)]
 
     def finished(self) -> Tensor:
         """Robots that have reached every waypoint, (N,) bool."""
@@ -78,5 +81,5 @@ class Waypoints(Stateful):
         self, position: Tensor, yaw: Tensor, steps: int = 0, rows: Tensor | slice = slice(None)
     ) -> Tensor:
         """Bearing of a waypoint ahead of robots `rows` (n,) minus their `yaw` (n,), (n,), rad in (-pi, pi]."""
-        way = self.ahead(steps)[rows] - position
+        way = self._ahead(self._everyone[rows], self.index[rows], steps) - position
         return wrap(torch.atan2(way[:, 1], way[:, 0]) - yaw)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from locorl.env.commands import VelocityCommands
 from locorl.env.goals import Waypoints
-from locorl.env.kinematics import wrap, yaw_of
+from locorl.env.kinematics import wrap
 from locorl.env.state import Motion
 
 EVERYONE = slice(None)
@@ -48,15 +48,14 @@ class Guidance:
 
     def heading_error(self, now: Motion, rows: Tensor | slice = EVERYONE) -> Tensor:
         """Yaw to the next waypoint, or to the heading to keep, minus the robot's, (n,), rad."""
-        yaw = yaw_of(now.quat)
         if self.goals is None:
-            return wrap(self.commands.heading[rows] - yaw)
-        return self.goals.heading_error(now.position, yaw, rows=rows)
+            return wrap(self.commands.heading[rows] - now.yaw)
+        return self.goals.heading_error(now.position, now.yaw, rows=rows)
 
     def heading_errors(self, now: Motion, rows: Tensor | slice = EVERYONE) -> Tensor:
         """`heading_error`, and the same to the waypoint after the next, or once more, (n, 2), rad."""
         error = self.heading_error(now, rows)
-        after = error if self.goals is None else self.goals.heading_error(now.position, yaw_of(now.quat), 1, rows)
+        after = error if self.goals is None else self.goals.heading_error(now.position, now.yaw, 1, rows)
         return torch.stack((error, after), dim=1)
 
     def reach(self, now: Motion) -> Tensor:

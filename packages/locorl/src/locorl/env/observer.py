@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from locorl.env.kinematics import roll_pitch, yaw_of
+from locorl.env.kinematics import roll_pitch
 from locorl.env.observation import ObservationConfig, ObsLayout
 from locorl.env.scan import HeightScan
 from locorl.env.state import Motion, Stateful
@@ -110,7 +110,7 @@ class Observer(Stateful):
         if self._heads:
             self.heading_errors[rows] = now.heading_errors()
         if self.scanner:
-            self.scan[rows] = self.scanner.measure(now.motion.position, yaw_of(now.motion.quat), now.stance_height)
+            self.scan[rows] = self.scanner.measure(now.motion.position, now.motion.yaw, now.stance_height)
 
     def _groups(self, now: Snapshot, rows: Rows) -> dict[str, Tensor]:
         proprio = self._proprio(now, rows)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
-from locorl.env.kinematics import projected_gravity, to_base_frame
+from locorl.env.kinematics import projected_gravity, to_base_frame, yaw_of
 from locorl.simulation.simulator import Simulator
 
 
@@ -35,6 +36,11 @@ class Motion:
     gravity: Tensor
     q: Tensor
     qd: Tensor
+
+    @cached_property
+    def yaw(self) -> Tensor:
+        """Heading of the base's x axis, (n,), rad."""
+        return yaw_of(self.quat)
 
 
 def read_motion(sim: Simulator, rows: Tensor | slice = slice(None)) -> Motion:

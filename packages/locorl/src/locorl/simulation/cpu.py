@@ -62,6 +62,7 @@ class CpuSimulator(Simulator):
         self.control_dt = self.timestep * substeps
         self.fields = {**bodies.fields, **(extra_fields or {})}
         self._batch = batch_of(self.model, self.num_envs, threads or available_cores(), self.fields)
+        self._fresh = self._batch.state[0].copy()
 
         bind = self._batch.bind
         self._qvel = bind("qvel")
@@ -118,8 +119,10 @@ class CpuSimulator(Simulator):
 
     def set_state(self, ids: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         """See `Simulator.set_state`."""
-        rows = np.sort(ids.numpy()).astype(np.int32)  # `Batch` takes only sorted ones
-        self._batch.reset(rows, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        rows = ids.numpy()
+        # what `Batch.reset` does, without loading the bodies
+        self._batch.state[rows] = self._fresh
+        self._batch.warning[rows] = 0
         self._seen[:, rows] = 0
         self.qpos[ids] = qpos.to(self.qpos.dtype)
         self.qvel[ids] = qvel.to(self.qvel.dtype)
