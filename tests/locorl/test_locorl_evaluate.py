@@ -1,37 +1,40 @@
-"""Evaluation and fine-tuning: honest numbers, and a generalist that stays as it was."""
+"""Evaluation: honest numbers, what they are printed and drawn as, and policies as files."""
 
 from __future__ import annotations
 
+import itertools
+import json
+import math
 from dataclasses import replace
 
+import locorl.commands.evaluate
 import numpy as np
 import pytest
 import torch
 from locorl import (
-    CheckpointError,
     CommandConfig,
     EvalConfig,
-    FinetuneConfig,
+    Evaluation,
     GoalConfig,
     LeggedEnv,
     Policy,
-    PPOConfig,
     TaskConfig,
     Trainer,
     design_grid,
     evaluate,
     feasible,
-    finetune,
     load_policy,
     make_task,
     no_randomisation,
     repeat_design,
     sample_designs,
 )
+from locorl.commands.evaluate import Evaluate, obstacle_table, worst_table
+from locorl.evaluation.evaluate import Course
+from locorl.evaluation.plots import bodies_figure, planes, save
 from locorl_box import BoxQuadruped, Space
 
 PROTOCOL = EvalConfig(seconds=1.0, settle=0.3, vx=(0.2, 0.6), robots_per_body=2, reset_joint=0.05, seed=7)
-TINY = FinetuneConfig(num_envs=8, iterations=2, ppo=PPOConfig(steps=6, epochs=2, minibatches=2))
 
 
 class Sprawler:
@@ -49,6 +52,20 @@ class Sprawler:
             action[::5, 6:] = torch.tensor([0.0, -6.0, 6.0]).repeat(2)
             action[::5, :6] = torch.tensor([6.0, 6.0, -6.0]).repeat(2)
         return action
+
+
+def walk(feet: np.ndarray, touching: np.ndarray, way: float) -> tuple[float, float, float]:
+    """Clearance, slip and duty factor of one robot on level ground, foot by foot: (T, 4, 3), (T, 4)."""
+    peaks, slid = [], 0.0
+    for foot in range(4):
+        last = None
+        for t in np.flatnonzero(touching[:, foot]):
+            if last is not None and t == last + 1:
+                slid += math.dist(feet[t, foot, :2], feet[last, foot, :2])
+            elif last is not None and t > last + 2:
+                peaks.append(feet[last + 1 : t, foot, 2].max() - 0.02)
+            last = t
+    return (np.mean(peaks) if peaks else 0.0), slid / 4 / way if way > 0.05 else np.inf, touching.mean()
 
 
 @pytest.fixture(scope="module")
@@ -74,9 +91,11 @@ def test_every_number_against_a_recomputation(factory, designs):
     command = env.command[:, 0].double().numpy()
     fell_at = np.full(16, 50)
     velocity, work, rewards = np.zeros((3, 50, 16))
+    feet, touching = np.zeros((50, 16, 4, 3)), np.zeros((50, 16, 4), dtype=bool)
     for t in range(50):
         obs, reward, terminated, _, info = env.step(actor.act(obs))
         velocity[t], work[t], rewards[t] = info.velocity[:, 0], info.positive_work, reward
+        feet[t], touching[t] = env.sim.foot_position.numpy(), env.contacts.touching.numpy()
         fell_at = np.where(terminated.numpy() & (fell_at == 50), t, fell_at)
     upright = np.arange(50)[:, None] < fell_at
     settled = upright & (np.arange(50)[:, None] >= 15)
@@ -100,12 +119,19 @@ def test_every_number_against_a_recomputation(factory, designs):
     check("returns", (rewards * counted).sum(axis=0))
     check("cost_of_transport", transport)
     check("mean_power", spent / (0.02 * np.maximum(settled.sum(axis=0), 1)))
+    later = (0.02 * velocity * settled)[16:].sum(axis=0)  # sliding has a first step to compare with
+    walked = [walk(feet[15:fell, i], touching[15:fell, i], later[i]) for i, fell in enumerate(fell_at)]
+    for name, values in zip(("clearance", "slip", "duty_factor"), np.array(walked).T, strict=True):
+        np.testing.assert_allclose(getattr(result.gait, name).ravel(), values, rtol=1e-4, atol=1e-6, err_msg=name)
 
     summary = result.summary()
     assert summary["robots"] == 16
     assert summary["survived"] == (fell_at == 50).sum()
     assert summary["tracking_error"] == pytest.approx(error.mean(), rel=1e-4)
     assert summary["commanded_distance"] == pytest.approx(command.mean(), rel=1e-4)
+    moving = (fell_at == 50) & (way > 0.05)
+    assert moving.any()
+    assert summary["slip"] == pytest.approx(np.array(walked)[moving, 1].mean(), rel=1e-4)
 
 
 def test_a_course_counts_until_its_last_waypoint(factory, designs):
@@ -153,6 +179,13 @@ def test_a_course_counts_until_its_last_waypoint(factory, designs):
     through = result.succeeded.ravel()
     np.testing.assert_allclose(result.tracking_error.ravel()[through], error[upright] / (last - 15), rtol=1e-3)
     assert result.summary()["succeeded"] == upright.sum()
+    assert result.course is not None
+    tiles = torch.tensor([2, 7]), torch.tensor([0, 1])
+    np.testing.assert_allclose(result.course.obstacle, np.tile(env.terrain.obstacle[tiles].numpy(), (8, 1)))
+    np.testing.assert_allclose(result.course.hip_height.ravel(), env.stance_qpos[:, 2].numpy(), rtol=1e-6)
+    points = np.concatenate((env.terrain.origins[tiles][:, None], env.terrain.waypoints[tiles]), axis=1)[..., :2]
+    length = [sum(math.dist(a, b) for a, b in itertools.pairwise(way)) for way in points.tolist()]
+    np.testing.assert_allclose(result.course.length, np.tile(length, (8, 1)), rtol=1e-5)
 
 
 def test_the_seed_decides_the_commands_and_bodies_share_them(factory, designs, generalist):
@@ -171,54 +204,6 @@ def test_the_seed_decides_the_commands_and_bodies_share_them(factory, designs, g
 def test_an_evaluation_without_anything_to_measure_is_refused(wrong):
     with pytest.raises(ValueError, match="EvalConfig"):
         EvalConfig(**wrong)
-
-
-def test_fine_tuning_leaves_the_generalist_alone(factory, generalist):
-    before = {name: values.clone() for name, values in generalist.model.state_dict().items()}
-    design = np.array([1.0, 1.2, 0.9, 1.1])
-    tuned = finetune(generalist, factory, design, TINY, seed=3, threads=1)
-    after = generalist.model.state_dict()
-    assert all(torch.equal(before[name], after[name]) for name in before)
-    moved = tuned.policy.model.state_dict()
-    assert not torch.equal(moved["actor.0.weight"], before["actor.0.weight"])
-    assert torch.allclose(moved["actor.0.weight"], before["actor.0.weight"], atol=0.05)  # it started from there
-    assert [row["iteration"] for row in tuned.curve] == [1, 2]
-    assert tuned.policy.card.samples == generalist.card.samples + TINY.samples
-    assert tuned.policy.card.network == generalist.card.network
-
-    again = finetune(generalist, factory, design, TINY, seed=3, threads=1).policy.model.state_dict()
-    assert all(torch.equal(moved[name], again[name]) for name in moved)
-
-
-def test_fine_tuning_trains_on_the_task_that_was_asked_for(factory, generalist):
-    config = replace(TINY, iterations=1, command_vx=(0.4, 0.4), specific_power=-2.0)
-    card = finetune(generalist, factory, np.ones(4), config, seed=0, threads=1).policy.card
-    assert card.task.command == CommandConfig((0.4, 0.4), (0.0, 0.0), (0.0, 0.0), hold=10.0, standing=0.0)
-    assert card.task.reward == replace(generalist.card.task.reward, specific_power=-2.0)
-
-
-def test_a_finished_fine_tune_is_read_from_its_folder(factory, generalist, tmp_path):
-    first = finetune(generalist, factory, np.ones(4), TINY, seed=0, folder=tmp_path, threads=1)
-    again = finetune(generalist, factory, np.ones(4), TINY, seed=0, folder=tmp_path, threads=1)
-    assert [row["reward"] for row in again.curve] == [row["reward"] for row in first.curve]
-    assert again.policy.card == first.policy.card
-    for a, b in zip(first.policy.model.parameters(), again.policy.model.parameters(), strict=True):
-        assert torch.equal(a, b)
-    with pytest.raises(CheckpointError, match="another robot or another starting policy"):
-        finetune(first.policy, factory, np.ones(4), TINY, seed=0, folder=tmp_path, threads=1)
-
-
-@pytest.mark.parametrize(
-    ("design", "message"),
-    [
-        ([1.0, 1.5, 1.0, 0.5], r"front_shank=1\.5 not in \[0\.6, 1\.4\], hind_shank=0\.5 not in"),
-        ([1.4, 0.6, 0.6, 0.6], "has no stance"),
-        ([1.0, 1.0], "has 4 parameters"),
-    ],
-)
-def test_impossible_designs_are_refused(factory, generalist, design, message):
-    with pytest.raises(ValueError, match=message):
-        finetune(generalist, factory, np.array(design), TINY, seed=0, threads=1)
 
 
 def test_a_policy_refuses_bodies_that_it_does_not_know(factory, generalist, tiny):
@@ -273,3 +258,118 @@ def test_grid_and_repetition(factory):
         (a, b, c, d) for a in (0.6, 1, 1.4) for b in (0.6, 1, 1.4) for c in (0.6, 1, 1.4) for d in (0.6, 1, 1.4)
     }
     np.testing.assert_array_equal(repeat_design(factory, np.ones(4), 3), np.ones((3, 4)))
+
+
+@pytest.fixture
+def evaluate_command(factory, generalist, tmp_path, monkeypatch):
+    """`locorl evaluate` on the box quadruped, 100 columns wide."""
+    monkeypatch.setattr(locorl.commands.evaluate, "find_factory", lambda name: factory)
+    monkeypatch.setenv("COLUMNS", "100")
+    generalist.save(tmp_path / "policy.pt")
+
+    def run(**options) -> Evaluate:
+        options = {"evaluation": PROTOCOL, "bodies": 6} | options
+        command = Evaluate(tmp_path / "policy.pt", **options)
+        command.run()
+        return command
+
+    return run
+
+
+def scored(**arrays: np.ndarray) -> Evaluation:
+    """Four bodies of two robots each: the second falls with both, the fourth with one, the third tracks badly."""
+    ones = np.ones((4, 2))
+    plain = Evaluation(
+        designs=np.array([[1.0, 1, 1, 1], [0.7, 1, 1, 1.3], [1.2, 1, 0.8, 1], [1, 1.1, 1, 0.9]]),
+        config=EvalConfig(seconds=10.0, robots_per_body=2),
+        command=0.5 * ones,
+        weight=150 * ones,
+        survived=np.array([[1, 1], [0, 0], [1, 1], [1, 0]], dtype=bool),
+        returns=ones,
+        tracking_error=np.array([[0.05, 0.05], [0.5, 0.5], [0.3, 0.2], [0.1, 0.4]]),
+        distance=np.array([[5.0, 5.0], [0.5, 0.5], [3.0, 4.0], [4.0, 1.0]]),
+        energy=500 * ones,
+        cost_of_transport=0.4 * ones,
+        mean_power=25 * ones,
+    )
+    return replace(plain, **arrays)
+
+
+def cells(table) -> list[list[str]]:
+    return list(map(list, zip(*(column.cells for column in table.columns), strict=True)))
+
+
+def test_the_worst_bodies_are_listed_with_their_design():
+    names = ("front_thigh", "front_shank", "hind_thigh", "hind_shank")
+    table = worst_table(scored(), names, 3)
+    assert str(table.title) == "worst bodies; on 2 of 4 a robot fell"
+    assert cells(table) == [
+        ["0.700", "1.000", "1.000", "1.300", "0 of 2", "0.500", "10%"],
+        ["1.000", "1.100", "1.000", "0.900", "1 of 2", "0.250", "50%"],
+        ["1.200", "1.000", "0.800", "1.000", "2 of 2", "0.250", "70%"],
+    ]
+
+
+def test_success_on_a_course_is_tabled_by_hip_heights():
+    course = Course(
+        np.full((4, 2), 0.3), np.array([[0.3, 0.3], [0.2, 0.2], [0.3, 0.3], [0.2, 0.2]]), np.full((4, 2), 4.0)
+    )
+    succeeded = np.array([[1, 1], [0, 0], [1, 0], [1, 0]], dtype=bool)
+    result = scored(course=course, succeeded=succeeded)
+    assert [row[:3] for row in cells(obstacle_table(result))] == [
+        ["1.00 to 1.25", "4", "75%"],
+        ["1.50 to 1.75", "4", "25%"],
+    ]
+    # by hand: the first is done with 4 of 4 m, the last with 5 of 8
+    assert [row[5] for row in cells(worst_table(result, ("a", "b", "c", "d"), 4))][-1] == "2 of 2"
+    assert str(worst_table(result, ("a", "b", "c", "d"), 4).title).endswith("on 3 of 4 a robot did not get through")
+
+
+@pytest.mark.parametrize(("grid", "names"), [(None, None), (3, None), (None, ("a", "b", "c", "d"))])
+def test_bodies_are_drawn(factory, designs, grid, names, tmp_path):
+    designs = designs if grid is None else design_grid(factory, grid)[:81]
+    shape = (len(designs), 1)
+    error = np.linspace(0, 1, len(designs))[:, None]
+    ones = np.ones(shape)
+    result = scored(
+        designs=designs, command=ones, survived=error < 0.9, tracking_error=error, distance=ones, returns=ones
+    )
+    figure = bodies_figure(result, names or factory.space.names)
+    save(figure, tmp_path / "bodies.png")
+    assert (tmp_path / "bodies.png").read_bytes().startswith(b"\x89PNG")
+    # length and proportion for the legs, six pairs for what has no meaning
+    assert len([ax for ax in figure.axes if ax.get_xlabel()]) == (2 if names is None else 6)
+
+
+def test_planes_hold_every_parameter(factory, designs):
+    length, share = planes(designs, factory.space.names)
+    front_thigh, front_shank, hind_thigh, hind_shank = designs.T
+    np.testing.assert_allclose(length.x + share.x / 2, front_thigh)
+    np.testing.assert_allclose(length.x - share.x / 2, front_shank)
+    np.testing.assert_allclose(length.y + share.y / 2, hind_thigh)
+    np.testing.assert_allclose(length.y - share.y / 2, hind_shank)
+
+
+def test_evaluate_prints_tables_and_draws(evaluate_command, tmp_path, capsys):
+    evaluate_command(plot=tmp_path / "bodies.png", worst=2)
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("tracking error worst decile, m/s", "foot clearance, m", "duty factor"))
+    assert "worst bodies" in out
+    assert (tmp_path / "bodies.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_evaluate_prints_gait_as_json(evaluate_command, generalist, capsys):
+    evaluate_command(json=True)
+    content = json.loads(capsys.readouterr().out)
+    assert content["samples"] == generalist.card.samples
+    assert len(content["robots"]) == 12
+    duty = [row["duty_factor"] for row in content["robots"]]
+    assert all(0.0 <= value <= 1.0 for value in duty)
+    assert {"foot_clearance", "slip"} <= content["robots"][0].keys()
+
+
+@pytest.mark.parametrize(("name", "message"), [("x.pdf", r"a picture is a \.png"), ("no/x.png", "does not exist")])
+def test_a_picture_that_cannot_be_written_is_refused_at_once(evaluate_command, monkeypatch, tmp_path, name, message):
+    monkeypatch.setattr(locorl.commands.evaluate, "evaluate", lambda *_: pytest.fail("simulated in vain"))
+    with pytest.raises((ValueError, FileNotFoundError), match=message):
+        evaluate_command(plot=tmp_path / name)

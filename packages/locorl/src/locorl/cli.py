@@ -1,4 +1,4 @@
-"""The `locorl` command: train a generalist, fine-tune it to a body, evaluate it honestly, watch it."""
+"""The `locorl` command: train a generalist, fine-tune it to a body, evaluate it honestly, compare runs, watch it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import tyro
 from rich.markup import escape
 
 from locorl.checkpoint import CheckpointError
+from locorl.commands.compare import Compare
 from locorl.commands.evaluate import Evaluate
 from locorl.commands.finetune import Finetune
 from locorl.commands.play import Play
@@ -17,7 +18,7 @@ from locorl.commands.train import Train
 from locorl.learning.ppo import DivergedError
 from locorl.play.errors import PlayError
 
-Command = Train | Finetune | Evaluate | Play | Terrain
+Command = Train | Finetune | Evaluate | Compare | Play | Terrain
 
 
 def main() -> None:

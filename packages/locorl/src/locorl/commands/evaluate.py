@@ -15,8 +15,23 @@ from rich.table import Table
 
 from locorl.bodies.designs import design_grid, feasible, sample_designs
 from locorl.evaluation.evaluate import EvalConfig, Evaluation, evaluate
+from locorl.evaluation.obstacles import success_by_obstacle
 from locorl.learning.policy import load_policy
+from locorl.play.errors import missing_extra
 from locorl.providers import find_factory
+
+_UNITS = {
+    "distance": "m",
+    "commanded_distance": "m",
+    "speed": "m/s",
+    "commanded_speed": "m/s",
+    "tracking_error": "m/s",
+    "tracking_error_worst_decile": "m/s",
+    "tracking_error_worst": "m/s",
+    "energy": "J",
+    "foot_clearance": "m",
+    "slip": "per metre",
+}
 
 
 @dataclass(frozen=True)
@@ -24,6 +39,7 @@ class Evaluate:
     """Score a policy on bodies that it may never have seen."""
 
     checkpoint: Annotated[Path, tyro.conf.Positional]
+    """A policy.pt or checkpoint.pt."""
     robot: str = "go2"
     """An installed robot, or the path of a .urdf."""
     bodies: int = 100
@@ -33,13 +49,19 @@ class Evaluate:
     design: tuple[float, ...] | None = None
     """Instead of random bodies: this one."""
     evaluation: EvalConfig = field(default_factory=EvalConfig)
+    worst: int = 5
+    """Bodies to list with their design: first those that failed, then those that track worst."""
     json: bool = False
-    """Print JSON, with every robot's row, instead of a table."""
+    """Print JSON, with every robot's row, instead of tables."""
+    plot: Path | None = None
+    """Picture (.png) of the tracking error and the failures over the design space; on a course, of success by
+    obstacle size too."""
 
     def run(self) -> None:
         """Evaluate and print."""
         factory, policy = find_factory(self.robot), load_policy(self.checkpoint)
         policy.check_space(factory.name, factory.space)
+        self._check_plot()
         if self.design is not None:
             designs = np.asarray(self.design)[None]
         elif self.grid is not None:
@@ -48,19 +70,45 @@ class Evaluate:
         else:
             designs = sample_designs(factory, self.bodies, np.random.default_rng(self.evaluation.seed))
         result = evaluate(policy, factory, designs, policy.card.task, self.evaluation)
+        names = factory.space.names
         if self.json:
-            print(json.dumps(to_json(result), indent=1))
+            print(json.dumps({"samples": policy.card.samples, **to_json(result)}, indent=1))
         else:
             print_summaries({self.checkpoint.name: result.summary()})
+            if len(designs) > 1 and self.worst > 0:
+                rich.print(worst_table(result, names, self.worst))
+            if result.course is not None:
+                rich.print(obstacle_table(result))
+                _warn_of_long_courses(result)
+        if self.plot is not None:
+            from locorl.evaluation.plots import bodies_figure, save
+
+            save(bodies_figure(result, names), self.plot)
+            if not self.json:
+                rich.print(f"bodies -> {self.plot}")
+
+    def _check_plot(self) -> None:
+        """Refuse a picture that cannot be drawn before minutes of simulation."""
+        if self.plot is None:
+            return
+        try:
+            from locorl.evaluation.plots import check_path
+        except ModuleNotFoundError as error:
+            raise missing_extra(error) from error
+        check_path(self.plot)
 
 
 def to_json(result: Evaluation) -> dict[str, object]:
     """Summary, protocol and one row per robot; what is infinite (the cost of going nowhere) becomes None."""
-    course = () if result.succeeded is None else ("succeeded",)
-    measures = ("returns", "tracking_error", "distance", "energy", "cost_of_transport")
-    columns = ("command", "survived", *course, *measures)
+    names = ("command", "survived", "returns", "tracking_error", "distance", "energy", "cost_of_transport")
+    columns = {name: getattr(result, name) for name in names}
+    if result.gait is not None:
+        columns |= {"foot_clearance": result.gait.clearance, "slip": result.gait.slip}
+        columns["duty_factor"] = result.gait.duty_factor
+    if result.course is not None:
+        columns |= {"succeeded": result.succeeded, **vars(result.course)}
     rows = [
-        {"design": design.tolist(), **_finite({name: getattr(result, name)[i, j].item() for name in columns})}
+        {"design": design.tolist(), **_finite({name: values[i, j].item() for name, values in columns.items()})}
         for i, design in enumerate(result.designs)
         for j in range(result.command.shape[1])
     ]
@@ -78,5 +126,55 @@ def print_summaries(results: dict[str, dict[str, float]], title: str = "evaluati
     for name in results:
         table.add_column(name, justify="right")
     for key in next(iter(results.values())):
-        table.add_row(key.replace("_", " "), *(f"{summary[key]:.4g}" for summary in results.values()))
+        label = key.replace("_", " ") + (f", {_UNITS[key]}" if key in _UNITS else "")
+        table.add_row(label, *(f"{summary[key]:.4g}" for summary in results.values()))
     rich.print(table)
+
+
+def worst_table(result: Evaluation, names: tuple[str, ...], count: int) -> Table:
+    """The `count` worst bodies with their design: first by failures, then by tracking error."""
+    course = result.succeeded is not None
+    failures = (~result.through).sum(axis=1)
+    error = result.tracking_error.mean(axis=1)
+    order = np.lexsort((-error, -failures))[:count]
+    robots = result.command.shape[1]
+    failed = int((failures > 0).sum())
+    what = "did not get through" if course else "fell"
+    of_them = f"on {failed} of {len(error)} a robot {what}" if robots > 1 else f"{failed} of {len(error)} {what}"
+    table = Table(title=f"worst bodies; {of_them}")
+    for name in names:
+        table.add_column(name.replace("_", " "), justify="right")
+    for column in ("survived", *(("succeeded",) if course else ()), "tracking error, m/s", "way of commanded"):
+        table.add_column(column, justify="right")
+    for body in order:
+        cells = [f"{value:.3f}" for value in result.designs[body]]
+        cells.append(f"{result.survived[body].sum()} of {robots}")
+        if result.succeeded is not None:
+            cells.append(f"{result.succeeded[body].sum()} of {robots}")
+        share = result.distance[body].sum() / result.commanded_distance[body].sum()
+        table.add_row(*cells, f"{error[body]:.3f}", f"{share:.0%}")
+    return table
+
+
+def obstacle_table(result: Evaluation) -> Table:
+    """Success on a course by obstacle size in hip heights of each robot's own body."""
+    table = Table(title="success by obstacle size")
+    for column in ("hip heights", "robots", "succeeded", "95 % interval"):
+        table.add_column(column, justify="right")
+    for each in success_by_obstacle(result):
+        low, high = each.interval
+        size = f"{each.low:.2f} to {each.high:.2f}"
+        table.add_row(size, str(each.robots), f"{each.rate:.0%}", f"{low:.0%} to {high:.0%}")
+    return table
+
+
+def _warn_of_long_courses(result: Evaluation) -> None:
+    """A robot that keeps its commanded speed and still cannot be through in time has not failed at the obstacles."""
+    assert result.course is not None
+    needed = result.course.length / result.command
+    late = int((needed > result.config.seconds).sum())
+    if late:
+        rich.print(
+            f"[yellow]{late} of {needed.size} robots had no time to get through at their commanded speed:[/yellow] "
+            f"take --evaluation.seconds {math.ceil(1.2 * needed.max())} or more"
+        )

@@ -14,6 +14,7 @@ from torch import Tensor
 from locorl.env.commands import CommandConfig
 from locorl.env.legged_env import LeggedEnv
 from locorl.env.randomisation import no_randomisation
+from locorl.evaluation.gait import Gait, GaitMeter, sole_height
 from locorl.interfaces import Array, BodyFactory
 from locorl.tasks.task import TaskConfig
 
@@ -55,6 +56,21 @@ class EvalConfig:
 
 
 @dataclass(frozen=True)
+class Course:
+    """What the robots of a parkour task were up against; arrays are (B, R).
+
+    Attributes:
+        obstacle: size of the obstacles, m (see `terrain.tile.Tile`).
+        hip_height: of the robot in its stance, m.
+        length: from the start along all waypoints, m.
+    """
+
+    obstacle: Array
+    hip_height: Array
+    length: Array
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Results for B bodies and R robots on each; arrays are (B, R) unless said otherwise.
 
@@ -72,6 +88,8 @@ class Evaluation:
         cost_of_transport: positive joint work / (m g way), both after `settle`; infinite without a way.
         mean_power: positive mechanical power after `settle`, W, while upright and under way.
         succeeded: last waypoint reached, bool, where it ends the episode; None on a task without waypoints.
+        gait: how the robots walked after `settle`, while upright and under way.
+        course: what they were up against; None on a task without waypoints.
     """
 
     designs: Array
@@ -86,10 +104,34 @@ class Evaluation:
     cost_of_transport: Array
     mean_power: Array
     succeeded: NDArray[np.bool_] | None = None
+    gait: Gait | None = None
+    course: Course | None = None
+
+    @property
+    def through(self) -> NDArray[np.bool_]:
+        """Robots that did what they were to: came through the course, or did not fall, (B, R)."""
+        return self.survived if self.succeeded is None else self.succeeded
+
+    @property
+    def commanded_distance(self) -> Array:
+        """Way that each robot was to come, (B, R), m; a course is not longer than to its last waypoint."""
+        way = self.command * self.config.seconds
+        return way if self.course is None else np.minimum(way, self.course.length)
 
     def summary(self) -> dict[str, float]:
-        """Means over all robots; cost of transport over those that survived."""
+        """Means over all robots; cost of transport and gait over those that survived and got somewhere."""
         moving = self.survived & np.isfinite(self.cost_of_transport)
+        gait = {}
+        if self.gait is not None:
+            walked = moving & np.isfinite(self.gait.slip)
+            gait = {
+                name: float(values[walked].mean()) if walked.any() else float("nan")
+                for name, values in (
+                    ("foot_clearance", self.gait.clearance),
+                    ("slip", self.gait.slip),
+                    ("duty_factor", self.gait.duty_factor),
+                )
+            }
         return {
             "robots": float(self.survived.size),
             "survived": float(self.survived.sum()),
@@ -99,9 +141,10 @@ class Evaluation:
             "tracking_error_worst_decile": float(np.quantile(self.tracking_error, 0.9)),
             "tracking_error_worst": float(self.tracking_error.max()),
             "distance": float(self.distance.mean()),
-            "commanded_distance": float((self.command * self.config.seconds).mean()),
+            "commanded_distance": float(self.commanded_distance.mean()),
             "energy": float(self.energy.mean()),
             "cost_of_transport": float(self.cost_of_transport[moving].mean()) if moving.any() else float("inf"),
+            **gait,
         }
 
 
@@ -154,6 +197,7 @@ def evaluate(
     bodies, robots = len(designs), config.robots_per_body
     task = _protocol(task, config)
     env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
+    meter = GaitMeter(sole_height(env, robots))
     steps = round(config.seconds / env.dt)
     settle = round(config.settle / env.dt)
     obs = env.reset(seed=config.seed)
@@ -161,6 +205,7 @@ def evaluate(
         obs = env.reset_on(*_tiles(config, bodies, *env.terrain.obstacle.shape))
     actor.reset()
     asked = env.command[:, 0].clone()
+    course = _course(env)
 
     alive = torch.ones(env.num_envs, dtype=torch.bool)
     arrived = torch.zeros_like(alive)
@@ -183,6 +228,10 @@ def evaluate(
             settled_way += moved
             settled_work += spent
             settled_steps += under_way
+            feet = env.sim.foot_position
+            ground = env.terrain.heights.at(feet[..., :2].float())
+            # who has started anew stands elsewhere
+            meter.add(feet, ground, env.contacts.touching, moved, under_way & ~(terminated | truncated))
         arrived = arrived | (under_way & info.success)
 
     def shape(values: Tensor) -> Array:
@@ -203,4 +252,16 @@ def evaluate(
         cost_of_transport=shape(transport),
         mean_power=shape(settled_work / (settled_steps * env.dt).clamp(min=env.dt)),
         succeeded=None if env.goals is None else arrived.numpy().reshape(bodies, robots),
+        gait=meter.gait().reshape(bodies, robots),
+        course=None if course is None else Course(*(shape(values) for values in course)),
     )
+
+
+def _course(env: LeggedEnv) -> tuple[Tensor, Tensor, Tensor] | None:
+    """Size of the obstacles, hip height and length of the course of each robot, (N,), m; None without waypoints."""
+    if env.goals is None:
+        return None
+    level, column = env.curriculum.level, env.curriculum.column
+    points = torch.cat((env.terrain.origins[level, column][:, None], env.goals.course), dim=1)[..., :2]
+    length = (points[:, 1:] - points[:, :-1]).norm(dim=-1).sum(dim=1)
+    return env.terrain.obstacle[level, column], env.body.stance_height.clone(), length

@@ -1,0 +1,64 @@
+"""Success against the size of the obstacles, measured by the body that meets them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from locorl.evaluation.evaluate import Evaluation
+
+_Z = 1.959963984540054
+"""97.5 % quantile of the normal distribution."""
+
+
+@dataclass(frozen=True)
+class ObstacleBin:
+    """Robots whose obstacles are at least `low` and less than `high` hip heights large.
+
+    Attributes:
+        low: of the bin, in hip heights of each robot's own body.
+        high: likewise.
+        robots: number of them.
+        succeeded: number of those that reached their last waypoint.
+    """
+
+    low: float
+    high: float
+    robots: int
+    succeeded: int
+
+    @property
+    def rate(self) -> float:
+        """Share that succeeded."""
+        return self.succeeded / self.robots
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson's 95 % interval of the rate; it takes robots as independent, so let them have different bodies."""
+        n, rate = self.robots, self.rate
+        shrink = 1.0 + _Z**2 / n
+        middle = (rate + _Z**2 / (2 * n)) / shrink
+        half = _Z * math.sqrt(rate * (1.0 - rate) / n + _Z**2 / (4 * n**2)) / shrink
+        return middle - half, middle + half
+
+
+def success_by_obstacle(result: Evaluation, width: float = 0.25) -> list[ObstacleBin]:
+    """Bins of `width` hip heights, from the smallest obstacles to the largest; empty ones are left out.
+
+    Raises:
+        ValueError: the evaluation was not on a course, or the width is not above 0.
+    """
+    if result.course is None or result.succeeded is None:
+        raise ValueError("success against obstacle size needs an evaluation on a course, a parkour task")
+    if width <= 0.0:
+        raise ValueError(f"bins must be wider than 0 hip heights, got {width}")
+    size = (result.course.obstacle / result.course.hip_height).ravel()
+    # 0.5 hip heights must not fall below 0.5 by rounding
+    number = np.floor(size / width + 1e-6).astype(int)
+    success = result.succeeded.ravel()
+    return [
+        ObstacleBin(k * width, (k + 1) * width, int((number == k).sum()), int(success[number == k].sum()))
+        for k in np.unique(number).tolist()
+    ]
