@@ -69,20 +69,82 @@ def test_a_checkpoint_comes_back(tmp_path):
     assert [file.name for file in path.parent.iterdir()] == ["a.pt"]
 
 
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), MemoryError("No space left")])
+@pytest.mark.parametrize("write", [checkpoint.save, checkpoint.save_next])
 @pytest.mark.parametrize("failing", ["save", "fsync", "replace"])
-def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch, failing):
+def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch, failing, write, error):
     path = tmp_path / "a.pt"
     checkpoint.save(path, {"value": 1})
 
     def fail(*args: object, **kwargs: object) -> None:
         if failing == "save":
             args[1].write(b"half a check")
-        raise OSError(28, "No space left on device")
+        raise error
 
     monkeypatch.setattr(torch if failing == "save" else os, failing, fail)
     with pytest.raises(CheckpointError, match=r"a\.pt.*No space left.*previous file is untouched"):
-        checkpoint.save(path, {"value": 2})
+        write(path, {"value": 2})
     monkeypatch.undo()
+    assert checkpoint.load(path)["value"] == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["a.pt"]
+
+
+def test_the_file_before_the_newest_is_kept(tmp_path):
+    path = tmp_path / "a.pt"
+    assert checkpoint.load_newest(path) is None
+    for value in (1, 2, 3):
+        checkpoint.save_next(path, {"value": value})
+    assert checkpoint.load(path)["value"] == 3
+    assert checkpoint.load(checkpoint.previous(path))["value"] == 2
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.previous.pt", "a.pt"]
+    content, warning = checkpoint.load_newest(path)
+    assert (content["value"], warning) == (3, "")
+    path.write_bytes(path.read_bytes()[:-1])
+    content, warning = checkpoint.load_newest(path)
+    assert content["value"] == 2
+    assert "a.pt is not readable" in warning
+    checkpoint.save_next(path, {"value": 4})  # the damaged file does not take the good one's place
+    assert checkpoint.load(checkpoint.previous(path))["value"] == 2
+    assert checkpoint.load(path)["value"] == 4
+
+
+def test_a_file_of_a_newer_version_is_not_damaged(tmp_path):
+    path = tmp_path / "a.pt"
+    checkpoint.save(checkpoint.previous(path), {"value": 1})
+    torch.save({"format": 99}, path)
+    with pytest.raises(CheckpointError, match="checkpoint format 99"):
+        checkpoint.load_newest(path)
+
+
+def test_a_file_that_cannot_be_read_now_is_not_damaged(tmp_path, monkeypatch):
+    path = tmp_path / "a.pt"
+    for value in (1, 2):
+        checkpoint.save_next(path, {"value": value})
+
+    def fail(*args: object, **kwargs: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(torch, "load", fail)
+    for attempt in (lambda: checkpoint.load_newest(path), lambda: checkpoint.save_next(path, {"value": 3})):
+        with pytest.raises(CheckpointError, match=r"cannot read .*a\.pt: MemoryError"):
+            attempt()
+    monkeypatch.undo()
+    assert checkpoint.load(path)["value"] == 2
+    assert checkpoint.load(checkpoint.previous(path))["value"] == 1
+
+
+@pytest.mark.parametrize("write", [checkpoint.save, checkpoint.save_next])
+def test_a_disk_that_is_really_full_leaves_the_old_file(tmp_path, write):
+    resource = pytest.importorskip("resource")
+    path = tmp_path / "a.pt"
+    checkpoint.save(path, {"value": 1})
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))  # files end here
+    try:
+        with pytest.raises(CheckpointError, match=r"cannot write .*a\.pt.*previous file is untouched"):
+            write(path, {"value": torch.zeros(100_000)})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert checkpoint.load(path)["value"] == 1
     assert [file.name for file in tmp_path.iterdir()] == ["a.pt"]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,9 +17,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from locorl import CheckpointError, DivergedError, TrainConfig, Trainer, checkpoint, sample_designs
+from locorl import (
+    CheckpointError,
+    CurriculumConfig,
+    TrainConfig,
+    Trainer,
+    checkpoint,
+    make_task,
+    sample_designs,
+)
 from locorl.bodies.samplers import MorphologyConfig
-from locorl.config import to_dict
+from locorl.config import config_hash, to_dict
+from locorl.learning.config import PPGConfig
 from locorl.training.metrics import read_metrics
 from locorl_box import BoxQuadruped
 
@@ -49,6 +60,7 @@ def whole(factory, tiny, tmp_path_factory) -> Path:
 
 def test_a_run_leaves_its_files(whole, tiny):
     assert sorted(path.name for path in whole.iterdir()) == [
+        "checkpoint.previous.pt",
         "checkpoint.pt",
         "config.json",
         "metrics.jsonl",
@@ -267,22 +279,172 @@ def test_too_few_designs_are_refused(factory, tiny):
         Trainer(factory, tiny, designs=np.ones((3, 4)), threads=1)
 
 
-def test_divergence_leaves_the_last_checkpoint(factory, tiny, tmp_path):
+def damaged(folder: Path, how: str) -> None:
+    """Do to the newest checkpoint in `folder` what a crash or a bad disk may do."""
+    path = folder / "checkpoint.pt"
+    content = bytearray(path.read_bytes())
+    if how == "lost":
+        path.unlink()
+    elif how == "one byte":
+        content[len(content) // 2] ^= 0xFF
+        path.write_bytes(content)
+    else:
+        path.write_bytes(content[: {"empty": 0, "half": len(content) // 2, "last byte": len(content) - 1}[how]])
+
+
+@pytest.mark.parametrize("how", ["empty", "half", "last byte", "one byte", "lost"])
+def test_the_checkpoint_before_takes_over(factory, tiny, whole, tmp_path, capsys, how):
+    folder = tmp_path / "run"
+    shutil.copytree(whole, folder)
+    damaged(folder, how)
+    trainer = Trainer(factory, tiny, folder, threads=1)
+    assert trainer.iteration == 2
+    out = " ".join(capsys.readouterr().out.split())
+    assert ("missing" if how == "lost" else "not readable") in out
+    assert "going on from the checkpoint before it, checkpoint.previous.pt, of iteration 2" in out
+    trainer.run(quiet=True)
+    assert equal(checkpoint.load(folder / "checkpoint.pt"), checkpoint.load(whole / "checkpoint.pt"))
+    assert [row["iteration"] for row in read_metrics(folder / "metrics.jsonl")] == [1, 2, 3, 4]
+    # a damaged file takes no good one's place
+    assert checkpoint.load(folder / "checkpoint.previous.pt")["iteration"] == 2
+
+
+def test_two_damaged_checkpoints_are_named(factory, tiny, whole, tmp_path):
+    for name in ("checkpoint.pt", "checkpoint.previous.pt"):
+        (tmp_path / name).write_bytes((whole / "checkpoint.pt").read_bytes()[:1000])
+    with pytest.raises(CheckpointError, match=r"checkpoint\.previous\.pt is not a readable checkpoint"):
+        Trainer(factory, tiny, tmp_path, threads=1)
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), MemoryError()])
+def test_a_failing_checkpoint_loses_nothing(factory, tiny, whole, tmp_path, monkeypatch, error):
     trainer = Trainer(factory, tiny, tmp_path, threads=1)
-    update = trainer.ppo.update
+    written = torch.save
 
-    def poisoned() -> dict[str, float]:
-        if trainer.iteration == 2:
-            with torch.no_grad():
-                next(trainer.model.critic.parameters()).fill_(float("nan"))
-        return update()
+    def fail(content, file) -> None:
+        if trainer.iteration == 4 and "ppo" in content:
+            file.write(b"half a check")
+            raise error
+        written(content, file)
 
-    trainer.ppo.update = poisoned
-    with pytest.raises(DivergedError):
+    monkeypatch.setattr(torch, "save", fail)
+    with pytest.raises(CheckpointError, match="previous file is untouched"):
         trainer.run(quiet=True)
-    content = checkpoint.load(tmp_path / "checkpoint.pt")
-    assert content["iteration"] == 2
-    assert all(values.isfinite().all() for values in content["model"].values())
+    monkeypatch.undo()
+    assert checkpoint.load(tmp_path / "checkpoint.pt")["iteration"] == 2
+    assert [row["iteration"] for row in read_metrics(tmp_path / "metrics.jsonl")] == [1, 2, 3, 4]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "checkpoint.pt",
+        "config.json",
+        "metrics.jsonl",
+        "policy.pt",
+    ]
+    train(factory, tiny, tmp_path)
+    assert equal(checkpoint.load(tmp_path / "checkpoint.pt"), checkpoint.load(whole / "checkpoint.pt"))
+
+
+def test_a_full_disk_while_writing_metrics_is_named(factory, tiny, tmp_path, monkeypatch):
+    trainer = Trainer(factory, tiny, tmp_path, threads=1)
+    opened = Path.open
+
+    def fail(path, mode="r", *args, **kwargs):
+        if mode == "a" and trainer.iteration == 3:
+            raise OSError(28, "No space left on device")
+        return opened(path, mode, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "open", fail)
+    with pytest.raises(CheckpointError, match=r"metrics\.jsonl.*No space left"):
+        trainer.run(quiet=True)
+    monkeypatch.undo()
+    assert [row["iteration"] for row in read_metrics(tmp_path / "metrics.jsonl")] == [1, 2]
+
+
+def test_a_checkpoint_knows_the_hash_of_its_configuration(tiny, whole):
+    assert checkpoint.load(whole / "checkpoint.pt")["config_hash"] == config_hash(to_dict(tiny))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"regulariser": "activation", "v_max": 0.1},
+        {"regulariser": "ppg", "ppg": PPGConfig(policy_iterations=3, minibatches=2)},  # stopped within a phase
+        {"mirror": True},
+    ],
+    ids=lambda changes: next(iter(changes.values())),
+)
+def test_every_way_to_learn_resumes_bit_identically(factory, tiny, tmp_path, changes):
+    config = replace(tiny, ppo=replace(tiny.ppo, **changes))
+    train(factory, config, tmp_path / "whole")
+    train(factory, replace(config, iterations=2), tmp_path / "halves")
+    train(factory, config, tmp_path / "halves")
+    ends = [checkpoint.load(tmp_path / name / "checkpoint.pt") for name in ("whole", "halves")]
+    assert equal(*ends)
+    plain = train(factory, tiny).model.state_dict()
+    assert not equal(dict(plain), dict(ends[0]["model"]))
+
+
+class NoisyBias:
+    """A hook that learns a number and draws from torch's default stream."""
+
+    name = "bias"
+
+    def __init__(self) -> None:
+        self.bias = torch.nn.Parameter(torch.zeros(1))
+        self.seen = 0
+
+    def begin(self, iteration: int) -> None:
+        self.seen += 1
+
+    def observe(self, obs):
+        return {**obs, "explicit": obs["explicit"] + 0.1 * torch.randn(obs["explicit"].shape)}
+
+    def end(self, rollout) -> dict[str, float]:
+        return {"seen": float(self.seen)}
+
+    def loss(self, batch) -> torch.Tensor:
+        return (batch.obs["explicit"] - self.bias).square().mean()
+
+    def parameters(self) -> list[torch.nn.Parameter]:
+        return [self.bias]
+
+    def state_dict(self) -> dict[str, object]:
+        return {"bias": self.bias.detach().clone(), "seen": self.seen}
+
+    def load_state_dict(self, state) -> None:
+        with torch.no_grad():
+            self.bias.copy_(state["bias"])
+        self.seen = state["seen"]
+
+
+def test_hooks_are_resumed_too(factory, tiny, tmp_path):
+    train(factory, tiny, tmp_path / "whole", hooks=[NoisyBias()])
+    train(factory, replace(tiny, iterations=2), tmp_path / "halves", hooks=[NoisyBias()])
+    torch.manual_seed(123)
+    hook = NoisyBias()
+    train(factory, tiny, tmp_path / "halves", hooks=[hook])
+    assert hook.seen == 4
+    assert float(hook.bias.detach()) != 0.0
+    ends = [checkpoint.load(tmp_path / name / "checkpoint.pt") for name in ("whole", "halves")]
+    assert equal(*ends)
+    assert [row["bias/seen"] for row in read_metrics(tmp_path / "halves" / "metrics.jsonl")] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"num_envs": 0}, "num_envs must be at least 1, got 0"),
+        ({"iterations": -1}, "iterations must be at least 0, got -1"),
+        ({"save_every": 0}, "save_every must be at least 1, got 0"),
+        ({"seed": -3}, "seed must be at least 0, got -3"),
+        ({"num_envs": 1, "ppo": {"steps": 3, "minibatches": 4}}, "1 robots x 3 steps are too few.*4 minibatches"),
+        ({"num_envs": 1, "ppo": {"steps": 1, "minibatches": 1}}, "too few samples.*at least 2"),
+    ],
+)
+def test_impossible_configurations_are_refused(tiny, changes, message):
+    if "ppo" in changes:
+        changes = {**changes, "ppo": replace(tiny.ppo, **changes["ppo"])}
+    with pytest.raises(ValueError, match=message):
+        replace(tiny, **changes)
 
 
 SCRIPT = """
@@ -290,35 +452,79 @@ import json, sys
 from pathlib import Path
 from locorl import TrainConfig, Trainer
 from locorl.config import from_dict
+from locorl.learning.distributed import Processes
 from locorl_box import BoxQuadruped
 import torch
 
 torch.set_num_threads(1)
 config = from_dict(TrainConfig, json.loads(sys.argv[2]))
-Trainer(BoxQuadruped(), config, Path(sys.argv[1]), threads=1).run(quiet=True)
+group = Processes.from_environment()
+Trainer(BoxQuadruped(), config, Path(sys.argv[1]), threads=1, group=group).run(quiet=True)
+if group:
+    group.close()
 """
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "OMP_NUM_THREADS": "1"}
+
+
+def climbing(config: TrainConfig) -> TrainConfig:
+    """Stairs with a curriculum that moves, and bodies that adapt."""
+    task = replace(
+        make_task("locomotion-steps"), episode_seconds=0.2, curriculum=CurriculumConfig(start_level=5, least=0.0)
+    )
+    return replace(config, task=task, morphology=MorphologyConfig(kind="adaptive", every=7))
 
 
 @pytest.mark.slow
-def test_a_killed_process_resumes_to_the_same_weights(factory, tiny, tmp_path):
-    config = replace(tiny, iterations=40, save_every=5)
-    train(factory, config, tmp_path / "whole")
-    command = [sys.executable, "-c", SCRIPT, str(tmp_path / "killed"), json.dumps(to_dict(config))]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent), "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(command, env=environment)
-    try:
-        deadline = time.monotonic() + 120
-        while len(read_metrics(tmp_path / "killed" / "metrics.jsonl")) < 12:
-            assert process.poll() is None, "the run ended before it could be killed"
-            assert time.monotonic() < deadline
-            time.sleep(0.005)
-    finally:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    assert checkpoint.load(tmp_path / "killed" / "checkpoint.pt")["iteration"] < 40
-    subprocess.run(command, env=environment, check=True)
-    assert equal(
-        checkpoint.load(tmp_path / "killed" / "checkpoint.pt"), checkpoint.load(tmp_path / "whole" / "checkpoint.pt")
-    )
-    rows = read_metrics(tmp_path / "killed" / "metrics.jsonl")
+@pytest.mark.parametrize("change", [lambda config: config, climbing], ids=["flat", "climbing"])
+def test_a_process_killed_at_any_moment_resumes_to_the_same_weights(factory, tiny, tmp_path, change):
+    config = change(replace(tiny, iterations=40, save_every=3))
+    whole = train(factory, config, tmp_path / "whole")
+    if change is climbing:
+        levels = checkpoint.load(tmp_path / "whole" / "checkpoint.previous.pt")["env"]["curriculum.level"]
+        assert not torch.equal(levels, whole.env.curriculum.level)  # it does move
+    killed, moment = tmp_path / "killed", random.Random()
+    command = [sys.executable, "-c", SCRIPT, str(killed), json.dumps(to_dict(config))]
+    for least in (5, 20):
+        process = subprocess.Popen(command, env=ENVIRONMENT)
+        try:
+            deadline = time.monotonic() + 120
+            while len(read_metrics(killed / "metrics.jsonl")) < least:
+                assert process.poll() is None, "the run ended before it could be killed"
+                assert time.monotonic() < deadline
+                time.sleep(0.005)
+            time.sleep(moment.uniform(0.0, 0.1))
+        finally:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        assert checkpoint.load(killed / "checkpoint.pt")["iteration"] < 40
+    subprocess.run(command, env=ENVIRONMENT, check=True)
+    assert equal(*(checkpoint.load(folder / "checkpoint.pt") for folder in (killed, tmp_path / "whole")))
+    rows = read_metrics(killed / "metrics.jsonl")
     assert [row["iteration"] for row in rows] == list(range(1, 41))
+
+
+@pytest.mark.slow
+def test_two_processes_train_together_and_resume(factory, tiny, tmp_path):
+    config = replace(tiny, morphology=MorphologyConfig(kind="adaptive", every=3))
+    start = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+
+    def together(folder: Path, iterations: int) -> None:
+        settings = json.dumps(to_dict(replace(config, iterations=iterations)))
+        subprocess.run([*start, str(script), str(folder), settings], env=ENVIRONMENT, check=True)
+
+    together(tmp_path / "whole", 4)
+    together(tmp_path / "halves", 2)
+    together(tmp_path / "halves", 4)
+    ends = [checkpoint.load(tmp_path / name / "checkpoint.pt") for name in ("whole", "halves")]
+    assert equal(*ends)
+    first, other = ends[0], ends[0]["others"][0]
+    assert equal(first["model"], other["model"])
+    assert not equal(first["env"], other["env"])
+    # each has its own part of the bodies that the sampler dealt
+    designs = torch.cat((first["designs"], other["designs"]))
+    assert torch.equal(designs, first["sampler"]["designs"])
+    assert [row["samples"] for row in read_metrics(tmp_path / "whole" / "metrics.jsonl")] == [48, 96, 144, 192]
+    with pytest.raises(CheckpointError, match="one of 2 processes, here are 1"):
+        Trainer(factory, config, tmp_path / "whole", threads=1)

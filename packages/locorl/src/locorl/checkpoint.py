@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 import tempfile
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
@@ -17,13 +19,27 @@ class CheckpointError(RuntimeError):
     """A checkpoint cannot be read, or belongs to something else."""
 
 
+class UnreadableError(CheckpointError):
+    """A checkpoint is truncated or damaged, or is another kind of file."""
+
+
 def save(path: Path, content: Mapping[str, Any]) -> None:
     """Write `content` (tensors and plain data) to `path`; a crash leaves the file that was there before.
 
     Raises:
-        CheckpointError: the disk is full or the folder cannot be written to; the old file is untouched.
+        CheckpointError: disk or memory is full, or the folder cannot be written to; the old file is untouched.
     """
     _replace(path, lambda file: torch.save({"format": FORMAT, **content}, file))
+
+
+def save_next(path: Path, content: Mapping[str, Any]) -> None:
+    """Write as `save` does, and keep the file that was there, if it is good, as `previous(path)`.
+
+    Raises:
+        CheckpointError: as `save`; both old files are untouched.
+    """
+    keep = path.exists() and _good(path)
+    _replace(path, lambda file: torch.save({"format": FORMAT, **content}, file), previous(path) if keep else None)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -31,7 +47,12 @@ def write_text(path: Path, text: str) -> None:
     _replace(path, lambda file: file.write(text.encode()))
 
 
-def _replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def previous(path: Path) -> Path:
+    """Where `save_next` keeps the file before the newest: `checkpoint.previous.pt` beside `checkpoint.pt`."""
+    return path.with_suffix(f".previous{path.suffix}")
+
+
+def _replace(path: Path, write: Callable[[IO[bytes]], object], keep: Path | None = None) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -43,10 +64,13 @@ def _replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
+        if keep is not None:
+            os.replace(path, keep)
         os.replace(temporary, path)
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, MemoryError) as error:
+        reason = str(error) or type(error).__name__
         raise CheckpointError(
-            f"cannot write {path}: {error}; the previous file is untouched: free the disk and start again"
+            f"cannot write {path}: {reason}; the previous file is untouched: free the disk or memory and start again"
         ) from error
     finally:
         Path(temporary).unlink(missing_ok=True)
@@ -56,14 +80,17 @@ def load(path: Path) -> dict[str, Any]:
     """Read a checkpoint.
 
     Raises:
-        CheckpointError: the file is missing, truncated, not a checkpoint, or of another format version.
+        UnreadableError: the file is truncated, damaged, or not a checkpoint.
+        CheckpointError: the file is missing, cannot be opened, or has another format version.
     """
     if not path.is_file():
         raise CheckpointError(f"no checkpoint at {path}")
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        content = _read(io.BytesIO(path.read_bytes()))
+    except (OSError, MemoryError) as error:  # the file itself may be good
+        raise CheckpointError(f"cannot read {path}: {str(error) or type(error).__name__}") from error
     except Exception as error:
-        raise CheckpointError(
+        raise UnreadableError(
             f"{path} is not a readable checkpoint ({type(error).__name__}): it is truncated or another kind of file; "
             "restore a copy, or, if a run made it, delete it and start that run again"
         ) from error
@@ -71,3 +98,44 @@ def load(path: Path) -> dict[str, Any]:
         found = content.get("format") if isinstance(content, dict) else type(content).__name__
         raise CheckpointError(f"{path}: checkpoint format {found}, this version of locorl reads {FORMAT}")
     return content
+
+
+def _read(file: IO[bytes]) -> Any:
+    with zipfile.ZipFile(file) as archive:
+        damaged = archive.testzip()  # torch does not look at the checksums
+    if damaged:
+        raise ValueError(f"{damaged} has another checksum")
+    file.seek(0)
+    return torch.load(file, map_location="cpu", weights_only=True)
+
+
+def load_newest(path: Path) -> tuple[dict[str, Any], str] | None:
+    """The content of `path`, or of `previous(path)` if `path` is unreadable or was lost; None if there is neither.
+
+    Returns:
+        The content, and what to tell the user if it is not that of `path`, else an empty text.
+
+    Raises:
+        UnreadableError: there is no readable one.
+        CheckpointError: as `load`.
+    """
+    fallback = previous(path)
+    try:
+        if path.exists():
+            return load(path), ""
+        problem = f"{path} is missing"
+    except UnreadableError:
+        if not fallback.exists():
+            raise
+        problem = f"{path} is not readable, as when a machine goes down while it writes"
+    if not fallback.exists():
+        return None
+    return load(fallback), f"{problem}; going on from the checkpoint before it, {fallback.name}"
+
+
+def _good(path: Path) -> bool:
+    try:
+        load(path)
+    except UnreadableError:
+        return False
+    return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping
+from datetime import timedelta
 from pathlib import Path
 from types import TracebackType
 
@@ -22,17 +23,30 @@ from locorl import checkpoint
 
 
 class MetricsFile:
-    """Appends one JSON object per line; a resumed run first drops the lines it will write again."""
+    """Appends one JSON object per line; a resumed run first drops the lines it will write again.
+
+    Attributes:
+        rows: those that were there and stay.
+    """
 
     def __init__(self, path: Path, keep_until: int = 0) -> None:
         self._path = path
-        rows = [row for row in read_metrics(path) if row["iteration"] <= keep_until]
-        checkpoint.write_text(path, "".join(json.dumps(row) + "\n" for row in rows))
+        self.rows = [row for row in read_metrics(path) if row["iteration"] <= keep_until]
+        checkpoint.write_text(path, "".join(json.dumps(row) + "\n" for row in self.rows))
 
     def write(self, row: Mapping[str, float]) -> None:
-        """Append one row."""
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(dict(row)) + "\n")
+        """Append one row.
+
+        Raises:
+            CheckpointError: the disk is full; the rows before it are untouched.
+        """
+        try:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(dict(row)) + "\n")
+        except OSError as error:
+            raise checkpoint.CheckpointError(
+                f"cannot write {self._path}: {error}; free the disk and start again"
+            ) from error
 
 
 def read_metrics(path: Path) -> list[dict[str, float]]:
@@ -63,6 +77,7 @@ class TrainingProgress:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
             console=self._console,
+            speed_estimate_period=300.0,  # iterations may take long
             disable=not self._live,
         )
         self._task = self._bar.add_task(title, total=total, completed=done, note="")
@@ -83,4 +98,6 @@ class TrainingProgress:
         self._bar.update(self._task, completed=done, note=note)
         if self._plain and (time.monotonic() - self._last_line > 10 or done == self._total):
             self._last_line = time.monotonic()
-            self._console.print(f"{self._title} {done}/{self._total} {note}", highlight=False, soft_wrap=True)
+            seconds = self._bar.tasks[0].time_remaining
+            left = f"  {timedelta(seconds=round(seconds))} left" if seconds else ""
+            self._console.print(f"{self._title} {done}/{self._total} {note}{left}", highlight=False, soft_wrap=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,44 +16,32 @@ import torch
 from torch import Tensor
 
 from locorl import checkpoint
-from locorl.bodies.samplers import FixedSampler, MorphologyConfig, MorphologySampler, make_sampler
-from locorl.config import differences, to_dict
+from locorl.bodies.samplers import FixedSampler, MorphologySampler, make_sampler
+from locorl.config import config_hash, to_dict
 from locorl.env.legged_env import LeggedEnv
+from locorl.env.symmetry import Symmetry
 from locorl.interfaces import Array, BodyFactory
-from locorl.learning.networks import ActorCritic, NetworkConfig
+from locorl.learning.distributed import Processes
+from locorl.learning.divergence import DivergedError
+from locorl.learning.hooks import RolloutHook
+from locorl.learning.networks import ActorCritic
 from locorl.learning.policy import Policy, PolicyCard
-from locorl.learning.ppo import PPO, PPOConfig
-from locorl.tasks.task import TaskConfig
+from locorl.learning.ppo import PPO
+from locorl.training.config import TrainConfig
 from locorl.training.metrics import MetricsFile, TrainingProgress
+from locorl.training.resume import check_origin, read_checkpoint
+from locorl.training.share import Share
+from locorl.training.watcher import Watcher
 
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """A training run."""
-
-    num_envs: int = 1024
-    """Robots trained at once."""
-    iterations: int = 500
-    """Rollouts and updates."""
-    seed: int = 0
-    save_every: int = 20
-    """Iterations between checkpoints."""
-    morphology: MorphologyConfig = field(default_factory=MorphologyConfig)
-    task: TaskConfig = field(default_factory=TaskConfig)
-    ppo: PPOConfig = field(default_factory=PPOConfig)
-    network: NetworkConfig = field(default_factory=NetworkConfig)
-
-    @property
-    def samples_per_iteration(self) -> int:
-        """Environment steps in one iteration."""
-        return self.num_envs * self.ppo.steps
+__all__ = ["TrainConfig", "Trainer"]
 
 
 class Trainer:
     """Trains one policy on N bodies and can be killed and resumed at any moment.
 
-    Files in `folder`: `checkpoint.pt` (everything, for resuming), `policy.pt` (the networks alone),
-    `metrics.jsonl`, `config.json`. Without a folder nothing is written.
+    Files in `folder`: `checkpoint.pt` (everything, for resuming), `checkpoint.previous.pt` (the one before, which
+    takes over if the newest cannot be read), `policy.pt` (the networks alone), `metrics.jsonl`, `config.json`; and
+    `fault.pt` if training produced NaN, for `faults.replay`. Without a folder nothing is written.
 
     Args:
         factory: makes the bodies.
@@ -60,10 +50,12 @@ class Trainer:
         designs: bodies for the whole run, (N, d); by default `config.morphology` deals them.
         start: policy to start from, as in fine-tuning; the optimiser starts fresh.
         threads: simulation threads.
+        hooks: learnt beside the policy.
+        group: the processes that train together, each on its share of the robots; the first one writes the files.
 
     Raises:
-        checkpoint.CheckpointError: the folder holds a checkpoint of another configuration, or a broken one.
-        ValueError: the number of designs is not N, a body has no stance, or the bodies cannot be dealt as asked.
+        checkpoint.CheckpointError: the folder holds a checkpoint of another configuration, or none that can be read.
+        ValueError: the number of designs is not N, a body has no stance, or bodies or robots cannot be dealt as asked.
     """
 
     def __init__(
@@ -74,11 +66,14 @@ class Trainer:
         designs: Array | None = None,
         start: Policy | None = None,
         threads: int | None = None,
+        hooks: Sequence[RolloutHook] = (),
+        group: Processes | None = None,
     ) -> None:
-        self.config, self.folder = config, folder
+        self.config, self.folder, self.threads = config, folder, threads
+        self.share = Share(config.num_envs, group)
         self.iteration = 0
         streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(config.seed).spawn(4)]
-        resumed = self._read_checkpoint()
+        resumed = read_checkpoint(folder / "checkpoint.pt", config, quiet=not self.share.first) if folder else None
         if designs is not None and len(designs) != config.num_envs:
             raise ValueError(f"{len(designs)} designs for {config.num_envs} robots")
         self.sampler: MorphologySampler = (
@@ -86,7 +81,8 @@ class Trainer:
             if designs is None
             else FixedSampler(designs)
         )
-        self.env = LeggedEnv(factory, self.sampler.designs, config.task, seed=streams[1], threads=threads)
+        mine = self.sampler.designs[self.share.rows]
+        self.env = LeggedEnv(factory, mine, config.task, seed=self.share.seed(streams[1]), threads=threads)
         if start is not None:
             start.check_space(factory.name, factory.space)
         torch.manual_seed(streams[2])
@@ -94,7 +90,16 @@ class Trainer:
         self.model = ActorCritic(self.env.group_dims, self.env.num_actions, network)
         if start is not None:
             self.model.load_state_dict(start.model.state_dict())
-        self.ppo = PPO(self.model, config.ppo, config.num_envs, self.env.group_dims, seed=streams[3])
+        self.ppo = PPO(
+            self.model,
+            config.ppo,
+            self.env.num_envs,
+            self.env.group_dims,
+            seed=self.share.seed(streams[3]),
+            hooks=hooks,
+            mirror=Symmetry.of(self.env) if config.ppo.mirror else None,
+            group=group,
+        )
         space = factory.space
         self._card = PolicyCard(
             robot=factory.name,
@@ -109,7 +114,8 @@ class Trainer:
         )
         self._obs: dict[str, Tensor] | None = None
         if resumed is not None:
-            self._restore(resumed)
+            check_origin(resumed, self._card, int(resumed["iteration"]) * config.samples_per_iteration, folder)
+            self.restore(resumed)
 
     @property
     def samples(self) -> int:
@@ -120,100 +126,150 @@ class Trainer:
         """The policy as it is now; it goes on changing if training goes on."""
         return Policy(self.model, replace(self._card, samples=self._card.samples + self.samples))
 
-    def run(self, title: str = "train", quiet: bool = False) -> list[dict[str, float]]:
+    def run(
+        self, title: str = "train", quiet: bool = False, watchers: Sequence[Watcher] = ()
+    ) -> list[dict[str, float]]:
         """Train until `config.iterations`, from wherever the run stands.
+
+        Args:
+            title: of the progress bar.
+            quiet: no progress on screen.
+            watchers: look on, such as `TensorBoard` and `Films`; of several processes, those of the first.
 
         Returns:
             The metrics of the iterations run now.
 
         Raises:
-            ppo.DivergedError: training produced NaN; the last checkpoint stands.
+            DivergedError: training produced NaN; the last checkpoint stands, `fault.pt` repeats it.
+            checkpoint.CheckpointError: something could not be written; what was there before stands.
         """
-        config = self.config
+        config, first = self.config, self.share.first
+        folder = self.folder if first else None
+        watchers = watchers if first else ()
         rows: list[dict[str, float]] = []
         log = None
-        if self.folder:
-            log = MetricsFile(self.folder / "metrics.jsonl", self.iteration)
+        if folder:
+            log = MetricsFile(folder / "metrics.jsonl", self.iteration)
             described = {"robot": self._card.robot, **to_dict(config)}
-            checkpoint.write_text(self.folder / "config.json", json.dumps(described, indent=2) + "\n")
-        if self._obs is None:
-            self._obs = self.env.reset()
-        with TrainingProgress(title, config.iterations, self.iteration, quiet) as progress:
+            checkpoint.write_text(folder / "config.json", json.dumps(described, indent=2) + "\n")
+        with ExitStack() as stack:
+            for watcher in watchers:
+                watcher.begin(log.rows if log else [])
+                stack.callback(watcher.end)
+            progress = TrainingProgress(title, config.iterations, self.iteration, quiet or not first)
+            stack.enter_context(progress)
             while self.iteration < config.iterations:
-                started = time.perf_counter()
-                designs = self.sampler.next(self.iteration, self.env.score)
-                if designs is not None:
-                    self._obs = self.env.set_designs(designs)
-                self._obs, stats = self.ppo.collect(self.env, self._obs)
-                collected = time.perf_counter()
-                stats |= self.ppo.update()
-                finished = time.perf_counter()
-                self.iteration += 1
-                rate = config.samples_per_iteration / (finished - started)
-                row = {
-                    "iteration": self.iteration,
-                    "samples": self.samples,
-                    "seconds": finished - started,
-                    "collect_seconds": collected - started,
-                    "samples_per_second": rate,
-                    **stats,
-                }
+                row = self.step()
                 rows.append(row)
                 if log:
                     log.write(row)
-                progress.update(
-                    self.iteration,
-                    f"reward {stats['reward']:.2f}/s  error {stats['tracking_error']:.3f} m/s  {rate / 1000:.1f} k/s",
-                )
+                progress.update(self.iteration, _note(row))
                 if self.folder and (self.iteration % config.save_every == 0 or self.iteration == config.iterations):
                     self.save()
+                for watcher in watchers:
+                    watcher.watch(self, row)
         return rows
 
+    def step(self) -> dict[str, float]:
+        """One iteration: a rollout and the update that follows.
+
+        Returns:
+            Its metrics.
+
+        Raises:
+            DivergedError: it produced NaN; `fault.pt` repeats it.
+        """
+        started = time.perf_counter()
+        if self._obs is None:
+            self._obs = self.env.reset()
+        designs = self.sampler.next(self.iteration, self.share.all(self.env.score))
+        if designs is not None:
+            self._obs = self.env.set_designs(designs[self.share.rows])
+        before = copy.deepcopy(self._content()) if self.folder else None
+        try:
+            self._obs, stats = self.ppo.collect(self.env, self._obs)
+            collected = time.perf_counter()
+            stats |= self.ppo.update()
+        except DivergedError as error:
+            dumped = self._dump(error, before)
+            error.args = (f"iteration {self.iteration + 1}: {error}{dumped}",)
+            raise
+        seconds = time.perf_counter() - started
+        self.iteration += 1
+        return {
+            "iteration": self.iteration,
+            "samples": self.samples,
+            "seconds": seconds,
+            "collect_seconds": collected - started,
+            "samples_per_second": self.config.samples_per_iteration / seconds,
+            **stats,
+        }
+
     def save(self) -> None:
-        """Write checkpoint and policy now; a run without a folder has nowhere to write."""
+        """Write checkpoint and policy now; all processes together. A run without a folder has nowhere to write.
+
+        Raises:
+            checkpoint.CheckpointError: disk or memory is full; the checkpoints of before stand.
+        """
         if self.folder is None:
             raise ValueError("this run has no folder to save to")
-        content = {
+        everyone = self.share.collect(self._content())
+        if self.share.first:
+            # the policy first: if the run is killed in between, it will write it again
+            self.policy().save(self.folder / "policy.pt")
+            others = {"others": everyone[1:]} if len(everyone) > 1 else {}
+            checkpoint.save_next(self.folder / "checkpoint.pt", {**everyone[0], **others})
+
+    def restore(self, content: Mapping[str, Any]) -> None:
+        """Go to where the checkpoint `content` of this configuration was taken.
+
+        Raises:
+            checkpoint.CheckpointError: it was taken with other bodies, or by another number of processes.
+        """
+        everyone = (content, *content.get("others", ()))
+        if len(everyone) != self.share.size:
+            raise checkpoint.CheckpointError(
+                f"{self.folder}: the checkpoint is one of {len(everyone)} processes, here are {self.share.size}"
+            )
+        mine = everyone[self.share.rank]
+        self.sampler.load_state_dict(mine["sampler"])
+        if not np.array_equal(mine["designs"].numpy(), self.sampler.designs[self.share.rows]):
+            raise checkpoint.CheckpointError(f"{self.folder}: the checkpoint was trained on other bodies")
+        self.model.load_state_dict(mine["model"])
+        self.ppo.load_state_dict(mine["ppo"])
+        self._obs = self.env.load_state_dict(mine["env"])
+        torch.set_rng_state(mine["torch_generator"])
+        self.iteration = int(mine["iteration"])
+
+    def _content(self) -> dict[str, Any]:
+        """Everything that the next iteration depends on, as far as this process is concerned."""
+        config = to_dict(self.config)
+        return {
             **self.policy().content(),
-            "config": to_dict(self.config),
+            "config": config,
+            "config_hash": config_hash(config),
             "iteration": self.iteration,
             "ppo": self.ppo.state_dict(),
             "env": self.env.state_dict(),
             "sampler": self.sampler.state_dict(),
             "designs": torch.from_numpy(np.asarray(self.env.bodies.designs).copy()),
+            "torch_generator": torch.get_rng_state(),  # hooks may draw from the default stream
         }
-        checkpoint.save(self.folder / "checkpoint.pt", content)
-        self.policy().save(self.folder / "policy.pt")
 
-    def _read_checkpoint(self) -> Mapping[str, Any] | None:
-        if self.folder is None or not (self.folder / "checkpoint.pt").exists():
-            return None
-        path = self.folder / "checkpoint.pt"
-        content = checkpoint.load(path)
-        if "config" not in content:
-            raise checkpoint.CheckpointError(f"{path} holds a policy but no training to resume; use another folder")
-        mine = to_dict(self.config)
-        # a longer run of the same configuration is the same run, unless the bodies share the iterations out
-        free = {} if self.config.morphology.kind == "temporal" else {"iterations": 0}
-        changes = differences({**content["config"], **free}, {**mine, **free})
-        if changes:
-            raise checkpoint.CheckpointError(
-                f"{path} belongs to another configuration; use another folder. Differences:\n  " + "\n  ".join(changes)
-            )
-        return content
+    def _dump(self, error: DivergedError, before: Mapping[str, Any] | None) -> str:
+        """Write the state `before` the iteration that failed, as `fault.pt`. Returns what to tell the user."""
+        if self.folder is None or before is None:
+            return ""
+        path = self.folder / ("fault.pt" if self.share.first else f"fault.{self.share.rank}.pt")
+        fault = {"message": str(error), "what": error.what, "robots": list(error.robots), "step": error.step}
+        try:
+            checkpoint.save(path, {**before, "fault": {**fault, "iteration": self.iteration + 1}})
+        except checkpoint.CheckpointError as failed:
+            return f"\nNo dump was made: {failed}"
+        return f"\n{path} repeats it: `locorl train {self.folder} --replay`, or locorl.training.faults.replay"
 
-    def _restore(self, content: Mapping[str, Any]) -> None:
-        samples = self._card.samples + int(content["iteration"]) * self.config.samples_per_iteration
-        changes = differences(content["card"], to_dict(replace(self._card, samples=samples)))
-        if changes:
-            raise checkpoint.CheckpointError(
-                f"{self.folder}: the checkpoint belongs to another robot or another starting policy; use another "
-                "folder. Differences:\n  " + "\n  ".join(changes)
-            )
-        self.sampler.load_state_dict(content["sampler"])
-        if not np.array_equal(content["designs"].numpy(), self.sampler.designs):
-            raise checkpoint.CheckpointError(f"{self.folder}: the checkpoint was trained on other bodies")
-        self.model.load_state_dict(content["model"])
-        self.ppo.load_state_dict(content["ppo"])
-        self._obs = self.env.load_state_dict(content["env"])
-        self.iteration = int(content["iteration"])
+
+def _note(row: Mapping[str, float]) -> str:
+    """What the progress bar shows of an iteration."""
+    rate = row["samples_per_second"] / 1000
+    return f"reward {row['reward']:.2f}/s  error {row['tracking_error']:.3f} m/s  {rate:.1f} k/s"

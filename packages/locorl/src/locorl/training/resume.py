@@ -1,0 +1,65 @@
+"""Which checkpoint a run goes on from, and which it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import rich
+
+from locorl import checkpoint
+from locorl.config import config_hash, differences, to_dict
+from locorl.learning.policy import PolicyCard
+from locorl.training.config import TrainConfig
+
+
+def read_checkpoint(path: Path, config: TrainConfig, quiet: bool = False) -> Mapping[str, Any] | None:
+    """The newest readable checkpoint at `path`, None if there is none; says so if it is not the last one written.
+
+    Args:
+        path: of the newest; the one before lies beside it.
+        config: of the run that wants to go on.
+        quiet: say nothing.
+
+    Raises:
+        checkpoint.CheckpointError: it belongs to another configuration, or there is none that can be read.
+    """
+    found = checkpoint.load_newest(path)
+    if found is None:
+        return None
+    content, warning = found
+    if "config" not in content:
+        raise checkpoint.CheckpointError(f"{path} holds a policy but no training to resume; use another folder")
+    theirs, mine = content["config"], to_dict(config)
+    # a longer run of the same configuration is the same run, unless the bodies share the iterations out
+    free = {} if config.morphology.kind == "temporal" else {"iterations": 0}
+    if config_hash({**theirs, **free}) != config_hash({**mine, **free}):
+        raise checkpoint.CheckpointError(
+            f"{path} belongs to another configuration; use another folder. Differences:\n  "
+            + "\n  ".join(differences({**theirs, **free}, {**mine, **free}))
+        )
+    if warning and not quiet:
+        rich.get_console().print(f"{warning}, of iteration {content['iteration']}", highlight=False, soft_wrap=True)
+    return content
+
+
+def check_origin(content: Mapping[str, Any], card: PolicyCard, samples: int, folder: Path | None) -> None:
+    """Refuse a checkpoint of another robot, or of a run that started from another policy.
+
+    Args:
+        content: of the checkpoint.
+        card: of the run's policy as it starts.
+        samples: taken by the run until the checkpoint.
+        folder: of the run, for the message.
+
+    Raises:
+        checkpoint.CheckpointError: with the differences.
+    """
+    changes = differences(content["card"], to_dict(replace(card, samples=card.samples + samples)))
+    if changes:
+        raise checkpoint.CheckpointError(
+            f"{folder}: the checkpoint belongs to another robot or another starting policy; use another folder. "
+            "Differences:\n  " + "\n  ".join(changes)
+        )
