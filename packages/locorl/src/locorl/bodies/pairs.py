@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -102,7 +102,7 @@ def mirror_pairs(factory: BodyFactory) -> MirrorPairs:
     they do: longer left thighs are the image of longer right ones, and longer front thighs of themselves.
 
     Raises:
-        ValueError: left and right differ, or a design parameter acts on one side alone; the message names the part.
+        ValueError: left and right differ, or a design parameter acts on one side alone; the message names it.
     """
     space, layout = factory.space, factory.layout
     bounds = np.array([space.low, space.high, space.nominal], dtype=np.float64)
@@ -117,19 +117,17 @@ def mirror_pairs(factory: BodyFactory) -> MirrorPairs:
     foot = _nearest(_distance(whole.foot), layout.feet, layout.robot)
     pairs = MirrorPairs(joint, sign, foot, np.arange(len(nominal)))
     _compare(whole, whole.image(pairs), pairs, bodies.model, layout)
-    effect, image = (
-        np.array([one.numbers(whole.drive) for one in some]) for some in (parts, [p.image(pairs) for p in parts])
-    )
+    effect = np.array([body.numbers(whole.drive) for body in parts])
+    image = np.array([body.image(pairs).numbers(whole.drive) for body in parts])
     design = _pair_designs(effect[1:] - effect[0], image[1:] - image[0], bounds, space.names, layout.robot)
-    return MirrorPairs(joint, sign, foot, design)
+    return replace(pairs, design=design)
 
 
 def _measure(bodies: BodyBatch, layout: Layout) -> list[_Parts]:
     """The parts of each body, all of them in the stance of the first."""
     count, stance = len(bodies.designs), np.array(bodies.stance_qpos[0])
-    height, weight = stance[2], bodies.total_mass[0]
-    pose = stance.copy()
-    pose[:3] = 0.0
+    height, total = stance[2], bodies.total_mass[0]
+    pose = np.concatenate(([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], stance[7:]))
     batch = batch_of(bodies.model, count, 1, bodies.fields)
     measured = []
     for row in range(count):
@@ -151,8 +149,8 @@ def _measure(bodies: BodyBatch, layout: Layout) -> list[_Parts]:
                 joint=data.xanchor[joints] / height,
                 axis=data.xaxis[joints].copy(),
                 foot=np.array([data.site(name).xpos for name in layout.feet]) / height,
-                mass=mass / weight,
-                balance=balance / (weight * height),
+                mass=mass / total,
+                balance=balance / (total * height),
                 drive=np.stack((*motor, *passive), axis=1),
                 span=span * model.jnt_limited[joints, None],
                 target=bodies.stance_ctrl[row] - bodies.stance_qpos[row][7:],
