@@ -39,7 +39,7 @@ Columns = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
-class Mirror:
+class ColumnMirror:
     """Column j of the image is `sign[j]` times column `index[j]`.
 
     Attributes:
@@ -51,7 +51,7 @@ class Mirror:
     sign: Tensor
 
     @classmethod
-    def of(cls, columns: Columns, device: torch.device) -> Mirror:
+    def of(cls, columns: Columns, device: torch.device) -> ColumnMirror:
         """The tensors of `columns` on `device`."""
         index, sign = (torch.from_numpy(values).to(device) for values in columns)
         return cls(index, sign.float())
@@ -73,8 +73,8 @@ class Symmetry:
         joints: image of an action.
     """
 
-    groups: Mapping[str, Mirror]
-    joints: Mirror
+    groups: Mapping[str, ColumnMirror]
+    joints: ColumnMirror
 
     @classmethod
     def of(cls, env: LeggedEnv) -> Symmetry:
@@ -91,8 +91,8 @@ class Symmetry:
         if layout.history:
             columns["history"] = _join([columns["proprio"]] * len(layout.history))
         return cls(
-            groups={group: Mirror.of(each, env.device) for group, each in columns.items()},
-            joints=Mirror.of((pairs.joint, pairs.joint_sign), env.device),
+            groups={group: ColumnMirror.of(each, env.device) for group, each in columns.items()},
+            joints=ColumnMirror.of((pairs.joint, pairs.joint_sign), env.device),
         )
 
     def observation(self, obs: Obs) -> Obs:
