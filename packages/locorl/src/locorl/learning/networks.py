@@ -1,4 +1,4 @@
-"""Networks of Fig. 3: privileged encoder, actor on latents, critic on the complete state."""
+"""Networks of Fig. 3: encoders of ground and privileged state, actor on latents, critic on the complete state."""
 
 from __future__ import annotations
 
@@ -29,6 +29,15 @@ class NetworkConfig:
     """Standard deviation of the exploration noise before training, in units of action."""
     min_std: float = 0.05
     """The noise never falls below this, which keeps the likelihood ratio sane."""
+    scan_encoder: tuple[int, ...] = (128, 64)
+    """Hidden layers of the scan encoder; it exists on tasks with a height scan."""
+    scan_latent: int = 32
+    """Size of the scan latent."""
+
+    @classmethod
+    def paper(cls) -> NetworkConfig:
+        """The sizes that go with Fig. 3, those of the code that the paper builds on."""
+        return cls(actor=(512, 256, 128), critic=(512, 256, 128))
 
 
 def mlp(sizes: Sequence[int]) -> nn.Sequential:
@@ -42,23 +51,34 @@ def mlp(sizes: Sequence[int]) -> nn.Sequential:
 class ActorCritic(nn.Module):
     """A Gaussian policy and a value function over the observation groups of `ObsLayout`.
 
-    The actor sees proprioception, the explicit privileged state and the latent of the implicit one; the
-    critic sees everything as it is.
+    The actor sees proprioception, the latent of the scan where there is one, the explicit privileged state and the
+    latent of the implicit one, side by side in this order. The critic sees all four groups as they are. The history
+    is for a student's eyes.
 
     Args:
-        dims: columns of the groups `proprio`, `explicit` and `implicit`.
+        dims: columns of the groups `proprio`, `explicit`, `implicit`, and `scan` where the task has one.
         num_actions: size of the action.
         config: sizes.
+
+    Attributes:
+        groups: the observation groups that the networks read.
+        latent_dim: size of the privileged latent.
     """
 
     def __init__(self, dims: Mapping[str, int], num_actions: int, config: NetworkConfig) -> None:
         super().__init__()
-        proprio, explicit, implicit = dims["proprio"], dims["explicit"], dims["implicit"]
+        self.groups = ("proprio", "explicit", "implicit", *(("scan",) if "scan" in dims else ()))
         self.latent_dim = config.latent
         self.min_log_std = math.log(config.min_std)
-        self.encoder = mlp((implicit, *config.encoder, config.latent))
-        self.actor = mlp((proprio + explicit + config.latent, *config.actor, num_actions))
-        self.critic = mlp((proprio + explicit + implicit, *config.critic, 1))
+        self.encoder = mlp((dims["implicit"], *config.encoder, config.latent))
+        self.scan_encoder = None
+        seen = dims["proprio"] + dims["explicit"] + config.latent
+        if "scan" in dims:
+            encoder = mlp((dims["scan"], *config.scan_encoder, config.scan_latent))
+            self.scan_encoder = nn.Sequential(*encoder, nn.Tanh())
+            seen += config.scan_latent
+        self.actor = mlp((seen, *config.actor, num_actions))
+        self.critic = mlp((sum(dims[group] for group in self.groups), *config.critic, 1))
         self.log_std = nn.Parameter(torch.full((num_actions,), math.log(config.initial_std)))
         with torch.no_grad():  # a quiet start: the first mean action is near the stance
             last = self.actor[-1]
@@ -70,13 +90,29 @@ class ActorCritic(nn.Module):
         """Latent of the implicit privileged state, (N, latent)."""
         return self.encoder(obs["implicit"])
 
+    def scan_latent(self, obs: Obs) -> Tensor:
+        """Latent of the height scan, (N, scan_latent), within +-1.
+
+        Raises:
+            ValueError: the policy was made for a task without a scan.
+        """
+        if self.scan_encoder is None:
+            raise ValueError("this policy has no scan encoder: its task observes no height scan")
+        return self.scan_encoder(obs["scan"])
+
+    def features(self, obs: Obs) -> Tensor:
+        """What the actor's last layer sees, (N, last hidden size)."""
+        scan = () if self.scan_encoder is None else (self.scan_latent(obs),)
+        seen = torch.cat((obs["proprio"], *scan, obs["explicit"], self.latent(obs)), dim=-1)
+        return self.actor[:-1](seen)
+
     def act(self, obs: Obs) -> Tensor:
         """Mean action, (N, num_actions)."""
-        return self.actor(torch.cat((obs["proprio"], obs["explicit"], self.latent(obs)), dim=-1))
+        return self.actor[-1](self.features(obs))
 
     def value(self, obs: Obs) -> Tensor:
         """Value of the state, (N,)."""
-        return self.critic(torch.cat((obs["proprio"], obs["explicit"], obs["implicit"]), dim=-1)).squeeze(-1)
+        return self.critic(torch.cat([obs[group] for group in self.groups], dim=-1)).squeeze(-1)
 
     def std(self) -> Tensor:
         """Standard deviation of the exploration noise, (num_actions,)."""
@@ -85,8 +121,8 @@ class ActorCritic(nn.Module):
     def log_prob(self, mean: Tensor, action: Tensor) -> Tensor:
         """Log-density of `action` under the Gaussian around `mean`, (N,)."""
         std = self.std()
-        normal = ((action - mean) / std).square() + 2.0 * std.log() + math.log(2.0 * math.pi)
-        return -0.5 * normal.sum(dim=-1)
+        constant = std.log().sum() + 0.5 * len(std) * math.log(2.0 * math.pi)
+        return -0.5 * ((action - mean) / std).square().sum(dim=-1) - constant
 
     def entropy(self) -> Tensor:
         """Entropy of the Gaussian, ()."""

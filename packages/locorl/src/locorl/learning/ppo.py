@@ -2,181 +2,236 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from itertools import chain
+from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from locorl.learning.advantage import generalised_advantage
-from locorl.learning.networks import ActorCritic
-from locorl.learning.storage import Minibatch, Rollout
+from locorl.learning.config import PPOConfig
+from locorl.learning.distributed import Processes, mean_and_std
+from locorl.learning.divergence import DivergedError, find_fault
+from locorl.learning.gradient import Descent
+from locorl.learning.hooks import RolloutHook
+from locorl.learning.losses import clipped_surrogate, clipped_value_loss, gaussian_kl
+from locorl.learning.networks import ActorCritic, Obs
+from locorl.learning.regularisers import make_regulariser
+from locorl.learning.stats import RolloutStats
+from locorl.learning.storage import Minibatch, Mirror, Rollout, evaluate_rows
 
 if TYPE_CHECKING:
     from locorl.env.legged_env import LeggedEnv
 
-
-@dataclass(frozen=True)
-class PPOConfig:
-    """Hyperparameters of PPO."""
-
-    gamma_reg: float = 0.98
-    """Regularised discount (section III-B2); 0.99 is the paper's unregularised baseline."""
-    lam: float = 0.95
-    """Lambda of the advantage estimator."""
-    steps: int = 24
-    """Control steps of each robot in one rollout."""
-    epochs: int = 5
-    """Passes over a rollout."""
-    minibatches: int = 4
-    """Minibatches in a pass."""
-    clip: float = 0.2
-    """Clipping of the likelihood ratio and of the value step."""
-    entropy: float = 0.005
-    """Weight of the entropy bonus."""
-    value_weight: float = 1.0
-    """Weight of the value loss."""
-    learning_rate: float = 1e-3
-    """Initial learning rate of Adam; it then adapts to the KL divergence."""
-    min_learning_rate: float = 1e-5
-    max_learning_rate: float = 1e-2
-    desired_kl: float = 0.01
-    """The learning rate falls above twice and rises below half this divergence."""
-    max_grad_norm: float = 1.0
-    """Gradients are clipped to this norm."""
-
-    def __post_init__(self) -> None:
-        """Refuse impossible settings before anything runs."""
-        if not 0.0 < self.gamma_reg < 1.0 or not 0.0 <= self.lam <= 1.0:
-            raise ValueError(f"PPOConfig: need 0 < gamma_reg < 1 and 0 <= lam <= 1, got {self.gamma_reg}, {self.lam}")
-        if min(self.steps, self.epochs, self.minibatches) < 1:
-            raise ValueError("PPOConfig: steps, epochs and minibatches must be at least 1")
-
-
-class DivergedError(RuntimeError):
-    """Training produced NaN or infinity."""
+__all__ = ["PPO", "DivergedError", "PPOConfig"]
 
 
 class PPO:
-    """Collects rollouts and updates an `ActorCritic` on them.
+    """Collects rollouts and updates an `ActorCritic` on them, on the device of the model.
 
     Args:
         model: policy and value function; trained in place.
         config: hyperparameters.
         num_envs: N of the environment.
         dims: its observation groups.
-        seed: of exploration noise and minibatches.
+        seed: of exploration noise and minibatches; of processes that train together each takes its own.
+        hooks: what is learnt beside the policy.
+        mirror: the robots' symmetry; with it each minibatch is trained together with its mirror image.
+        group: the processes that train together, each on N robots.
+
+    Attributes:
+        iteration: updates so far.
+        rollout: the one collected last.
+
+    Raises:
+        ValueError: `config` asks for mirroring without a `mirror`, or two hooks share a name.
     """
 
     def __init__(
-        self, model: ActorCritic, config: PPOConfig, num_envs: int, dims: Mapping[str, int], seed: int
+        self,
+        model: ActorCritic,
+        config: PPOConfig,
+        num_envs: int,
+        dims: Mapping[str, int],
+        seed: int,
+        hooks: Sequence[RolloutHook] = (),
+        mirror: Mirror | None = None,
+        group: Processes | None = None,
     ) -> None:
-        self.model = model
-        self.config = config
+        if config.mirror and mirror is None:
+            raise ValueError("PPOConfig.mirror is set, so PPO needs `mirror`: the symmetry of the environment's robots")
+        names = [hook.name for hook in hooks]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two hooks share a name: {names}")
+        self.model, self.config, self.hooks, self.mirror, self.group = model, config, tuple(hooks), mirror, group
+        self.iteration = 0
         self.learning_rate = config.learning_rate
-        self.optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, foreach=True)
-        self.generator = torch.Generator().manual_seed(seed)
-        self.rollout = Rollout(config.steps, num_envs, dims, model.log_std.numel())
+        parameters = chain(model.parameters(), *(hook.parameters() for hook in self.hooks))
+        self._descent = Descent(parameters, config.learning_rate, config.max_grad_norm, group)
+        self.optimizer = self._descent.optimizer
+        device = model.log_std.device
+        self.generator = torch.Generator(device).manual_seed(seed)
+        # what a hook may want beyond what the networks read is not known
+        kept = {name: size for name, size in dims.items() if self.hooks or name in model.groups}
+        self.rollout = Rollout(config.steps, num_envs, kept, model.log_std.numel(), device)
+        self._regulariser = make_regulariser(config, model, self.generator, group)
+
+    # ------------------------------------------------------------------ collect
 
     @torch.no_grad()
-    def collect(self, env: LeggedEnv, obs: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
+    def collect(self, env: LeggedEnv, obs: Obs) -> tuple[dict[str, Tensor], dict[str, float]]:
         """Fill the rollout from `env`, starting at `obs`.
 
         Returns:
             The observation after the last step, and the rollout's statistics.
 
         Raises:
-            DivergedError: an observation or a reward is not finite.
+            DivergedError: an observation, an action, a reward or a value is not finite.
         """
         rollout, stats = self.rollout, RolloutStats()
-        current = dict(obs)
+        for hook in self.hooks:
+            hook.begin(self.iteration)
         std = self.model.std()
+        torch.randn(rollout.action.shape, generator=self.generator, out=rollout.action)
+        ends: list[tuple[int, Tensor, Obs]] = []
+        current = dict(obs)
         for t in range(rollout.steps):
-            for group, values in current.items():
-                rollout.obs[group][t] = values
-            mean = self.model.act(current)
-            action = mean + std * torch.randn(mean.shape, generator=self.generator)
-            rollout.mean[t], rollout.action[t] = mean, action
-            rollout.log_prob[t] = self.model.log_prob(mean, action)
-            rollout.value[t] = self.model.value(current)
+            rollout.observe(t, current)
+            mean, action = rollout.mean[t], rollout.action[t]
+            mean.copy_(self.model.act(self._seen(current)))
+            if not mean.isfinite().all():
+                self._stop(self._bad_observation(t) or find_fault("action", "the action", mean[None], t))
+            action.mul_(std).add_(mean)
             current, reward, terminated, truncated, info = env.step(action)
             rollout.reward[t] = reward
             rollout.terminated[t], rollout.done[t] = terminated, terminated | truncated
             if len(info.done_ids):
-                rollout.next_value[t, info.done_ids] = self.model.value(info.final_obs)
-            stats.add(reward, terminated, truncated, info.tracking_error, info.reward_terms, info.diverged)
-        # V(s_(t+1)) is the next row's value, except where an episode was cut by time in between
-        following = torch.cat((rollout.value[1:], self.model.value(current)[None]))
-        truncated = rollout.done & ~rollout.terminated
-        rollout.next_value = torch.where(truncated, rollout.next_value, following)
-        if not (rollout.reward.isfinite().all() and rollout.value.isfinite().all()):
-            raise DivergedError("a reward or an observation is not finite: check the bodies and the physics step")
+                ends.append((t, info.done_ids, info.final_obs))
+            stats.add(info)
+        rollout.observe(rollout.steps, current)
+        rollout.log_prob = self.model.log_prob(rollout.mean, rollout.action)
+        self._evaluate(ends)
+        fault = self._fault()
+        if fault or self.group:
+            self._stop(fault)
         rollout.advantage, rollout.target = generalised_advantage(
             rollout.reward,
             rollout.value,
             rollout.next_value,
             rollout.done,
             rollout.terminated,
-            self.config.gamma_reg,
+            self.config.discount,
             self.config.lam,
         )
-        return current, stats.summary(env.dt)
+        summary = stats.summary(rollout, env.dt)
+        return current, self.group.average_metrics(summary) if self.group else summary
+
+    def _seen(self, obs: Obs) -> Obs:
+        """What the actor sees of `obs`."""
+        for hook in self.hooks:
+            obs = hook.observe(obs)
+        return obs
+
+    def _evaluate(self, ends: Sequence[tuple[int, Tensor, Obs]]) -> None:
+        """Values of all states, and V(s_(t+1)), of episodes cut by time that of the state they were cut in.
+
+        Args:
+            ends: step, robots (m,) and last observations, group -> (m, dim), of the episodes that ended.
+        """
+        rollout, groups = self.rollout, self.model.groups
+        states = {group: rollout.states[group].flatten(0, 1) for group in groups}
+        values = evaluate_rows(self.model.value, states).view(rollout.steps + 1, -1)
+        rollout.value, rollout.next_value = values[:-1], values[1:].clone()
+        if not ends:
+            return
+        steps = torch.cat([torch.full_like(robots, t) for t, robots, _ in ends])
+        robots = torch.cat([robots for _, robots, _ in ends])
+        cut = ~rollout.terminated[steps, robots]
+        final = {group: torch.cat([obs[group] for _, _, obs in ends])[cut] for group in groups}
+        rollout.next_value[steps[cut], robots[cut]] = evaluate_rows(self.model.value, final)
+
+    def _bad_observation(self, first: int = 0) -> DivergedError | None:
+        """What is not finite in the observations from step `first` on; those not yet seen are of the last rollout."""
+        groups = ((group, states[first:]) for group, states in self.rollout.states.items())
+        faults = (find_fault("observation", f"the observation group '{name}'", x, first) for name, x in groups)
+        return next((fault for fault in faults if fault), None)
+
+    def _fault(self) -> DivergedError | None:
+        """What is not finite in a complete rollout."""
+        rollout = self.rollout
+        return (
+            self._bad_observation()
+            or find_fault("reward", "the reward", rollout.reward)
+            or find_fault("value", "the value", rollout.value)
+            or find_fault("value", "the value of the next state", rollout.next_value)
+        )
+
+    def _stop(self, fault: DivergedError | None) -> None:
+        """Raise `fault`, and see to it that all processes stop if one does."""
+        elsewhere = self.group is not None and self.group.any(fault is not None)
+        if fault is not None:
+            raise fault
+        if elsewhere:
+            raise DivergedError("another process that trains this policy met something that is not finite")
+
+    # ------------------------------------------------------------------- update
 
     def update(self) -> dict[str, float]:
         """Improve policy and value function on the collected rollout.
 
         Returns:
-            Mean losses, KL divergence, noise and learning rate.
+            Mean losses, KL divergence and gradient norm, noise and learning rate, and what the hooks report.
 
         Raises:
-            DivergedError: the loss is not finite; the model is left as it was before that minibatch.
+            DivergedError: a loss or the gradient is not finite; all is left as it was before that minibatch.
         """
         config, rollout = self.config, self.rollout
-        advantage = rollout.advantage
-        rollout.advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        stats = {f"{hook.name}/{key}": x for hook in self.hooks for key, x in hook.end(rollout).items()}
+        mean, std = mean_and_std(rollout.advantage, self.group)
+        rollout.advantage = (rollout.advantage - mean) / (std + 1e-8)
         old_std = self.model.std().detach().clone()
-        sums = torch.zeros(3)
-        for _ in range(config.epochs):
-            for batch in rollout.minibatches(config.minibatches, self.generator):
-                mean = self.model.act(batch.obs)
-                kl = self._kl(mean.detach(), batch.mean, old_std)
-                self._adapt(kl)
-                surrogate, value_loss = self._losses(mean, batch)
-                loss = surrogate + config.value_weight * value_loss - config.entropy * self.model.entropy()
-                if not loss.isfinite():
-                    raise DivergedError("the loss is not finite; lower the learning rate")
-                self.optimizer.zero_grad(set_to_none=True)
-                loss.backward()
-                nn.utils.clip_grad_norm_(self.model.parameters(), config.max_grad_norm, foreach=True)
-                self.optimizer.step()
-                sums += torch.tensor((surrogate.item(), value_loss.item(), kl))
-        surrogate, value_loss, kl = (sums / (config.epochs * config.minibatches)).tolist()
-        return {
-            "surrogate_loss": surrogate,
-            "value_loss": value_loss,
-            "kl": kl,
-            "action_std": float(self.model.std().detach().mean()),
-            "learning_rate": self.learning_rate,
-        }
+        rows = [
+            self._step(batch, old_std)
+            for _ in range(config.epochs)
+            for batch in rollout.minibatches(config.minibatches, self.generator)
+        ]
+        stats |= {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
+        stats |= self._regulariser.after_update(rollout)
+        stats |= {"action_std": float(self.model.std().detach().mean()), "learning_rate": self.learning_rate}
+        self.iteration += 1
+        return stats
 
-    def _losses(self, mean: Tensor, batch: Minibatch) -> tuple[Tensor, Tensor]:
-        """Clipped surrogate and clipped value loss of a minibatch."""
-        clip = self.config.clip
-        ratio = (self.model.log_prob(mean, batch.action) - batch.log_prob).exp()
-        surrogate = -torch.min(batch.advantage * ratio, batch.advantage * ratio.clamp(1 - clip, 1 + clip)).mean()
-        value = self.model.value(batch.obs)
-        clipped = batch.value + (value - batch.value).clamp(-clip, clip)
-        value_loss = torch.max((value - batch.target).square(), (clipped - batch.target).square()).mean()
-        return surrogate, value_loss
+    def _step(self, batch: Minibatch, old_std: Tensor) -> dict[str, float]:
+        """One step of the optimiser; losses, KL divergence and gradient norm."""
+        self.optimizer.zero_grad(set_to_none=True)
+        totals = torch.zeros(3, device=old_std.device)
+        for part in batch.parts():
+            share = len(part.action) / len(batch.action)
+            loss, numbers = self._loss(part, old_std)
+            (share * loss).backward()
+            totals += share * numbers.detach()
+        surrogate, value_loss, kl = totals
+        found = self._descent.settle(surrogate_loss=surrogate, value_loss=value_loss, kl=kl)
+        self._adapt(found["kl"])
+        self.optimizer.step()
+        return found
 
-    @torch.no_grad()
-    def _kl(self, mean: Tensor, old_mean: Tensor, old_std: Tensor) -> float:
-        """KL divergence of the new policy from the one that collected, mean over rows."""
-        std = self.model.std()
-        ratio = old_std / std
-        kl = 0.5 * (ratio.square() + ((mean - old_mean) / std).square() - 1.0) - ratio.log()
-        return float(kl.sum(dim=1).mean())
+    def _loss(self, batch: Minibatch, old_std: Tensor) -> tuple[Tensor, Tensor]:
+        """The loss (), and surrogate, value loss and KL divergence (3,)."""
+        config, model, rows = self.config, self.model, len(batch.action)
+        if self.mirror is not None:
+            batch = batch.with_mirror_image(self.mirror)
+        mean, value = model.act(batch.obs), model.value(batch.obs)
+        surrogate = clipped_surrogate(model.log_prob(mean, batch.action), batch, config.clip)
+        value_loss = clipped_value_loss(value, batch, config.clip)
+        with torch.no_grad():  # of the policy that acted: its mirror image may be another one
+            kl = gaussian_kl(mean[:rows], model.std(), batch.mean[:rows], old_std)
+        loss = surrogate + config.value_weight * value_loss - config.entropy * model.entropy()
+        for extra in (self._regulariser.penalty(value), *(hook.loss(batch) for hook in self.hooks)):
+            if extra is not None:
+                loss = loss + extra
+        return loss, torch.stack((surrogate, value_loss, kl))
 
     def _adapt(self, kl: float) -> None:
         config = self.config
@@ -187,52 +242,32 @@ class PPO:
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
 
-    def state_dict(self) -> dict[str, object]:
-        """Optimiser, learning rate and random stream; the model is saved by its owner."""
+    # -------------------------------------------------------------------- state
+
+    def state_dict(self) -> dict[str, Any]:
+        """Optimiser, random stream, hooks and regulariser; the model is saved by its owner."""
         return {
             "optimizer": self.optimizer.state_dict(),
             "learning_rate": self.learning_rate,
+            "iteration": self.iteration,
             "generator": self.generator.get_state(),
+            "hooks": {hook.name: hook.state_dict() for hook in self.hooks},
+            "regulariser": self._regulariser.state_dict(),
         }
 
-    def load_state_dict(self, state: Mapping[str, object]) -> None:
-        """Go back to a saved state."""
-        self.optimizer.load_state_dict(state["optimizer"])  # pyright: ignore[reportArgumentType]
-        self.learning_rate = float(state["learning_rate"])  # pyright: ignore[reportArgumentType]
-        self.generator.set_state(state["generator"])  # pyright: ignore[reportArgumentType]
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Go back to a saved state.
 
-
-class RolloutStats:
-    """Running statistics of one rollout, kept as tensors until the end."""
-
-    def __init__(self) -> None:
-        self._rows: list[Tensor] = []
-        self._terms: list[Tensor] = []
-        self._names: tuple[str, ...] = ()
-
-    def add(
-        self,
-        reward: Tensor,
-        terminated: Tensor,
-        truncated: Tensor,
-        tracking_error: Tensor,
-        terms: Mapping[str, Tensor],
-        diverged: Tensor,
-    ) -> None:
-        """Take in one step."""
-        columns = (reward, terminated.float(), truncated.float(), tracking_error, diverged.float())
-        self._rows.append(torch.stack([column.mean() for column in columns]))
-        self._names = tuple(terms)
-        self._terms.append(torch.stack(tuple(terms.values())))
-
-    def summary(self, dt: float) -> dict[str, float]:
-        """Means over the rollout; `reward` and its terms are per second, `fall_rate` per second too."""
-        reward, fallen, _, error, diverged = torch.stack(self._rows).mean(dim=0).tolist()
-        terms = (torch.stack(self._terms).mean(dim=0) / dt).tolist()
-        return {
-            "reward": reward / dt,
-            "fall_rate": fallen / dt,
-            "tracking_error": error,
-            "diverged": diverged,
-            **{f"term/{name}": value for name, value in zip(self._names, terms, strict=True)},
-        }
+        Raises:
+            ValueError: it was saved with other hooks; nothing has changed then.
+        """
+        saved, here = sorted(state["hooks"]), sorted(hook.name for hook in self.hooks)
+        if saved != here:
+            raise ValueError(f"this training was saved with the hooks {saved}, and now has {here}: give it the same")
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.learning_rate = float(state["learning_rate"])
+        self.iteration = int(state["iteration"])
+        self.generator.set_state(state["generator"].cpu())
+        for hook in self.hooks:
+            hook.load_state_dict(state["hooks"][hook.name])
+        self._regulariser.load_state_dict(state["regulariser"])

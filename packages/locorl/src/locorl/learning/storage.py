@@ -1,12 +1,27 @@
-"""Pre-allocated storage of one rollout."""
+"""Pre-allocated storage of one rollout, and the minibatches drawn from it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
+
+_ROWS = {"cpu": 1024}
+"""Rows that networks are given at a time: on a CPU what they compute in between then stays in the cache."""
+
+
+class Mirror(Protocol):
+    """The robots' left-right symmetry; mirroring twice changes nothing."""
+
+    def observation(self, obs: Mapping[str, Tensor]) -> Mapping[str, Tensor]:
+        """The mirrored observation, group -> (B, dim)."""
+        ...
+
+    def action(self, action: Tensor) -> Tensor:
+        """The mirrored action, (B, num_actions)."""
+        ...
 
 
 class Minibatch(NamedTuple):
@@ -20,6 +35,30 @@ class Minibatch(NamedTuple):
     advantage: Tensor
     target: Tensor
 
+    def parts(self) -> Iterator[Minibatch]:
+        """Parts that suit the device, in order, without copying; losses and gradients of parts add up."""
+        rows = rows_at_once(self.action.device)
+        columns = zip(*(column.split(rows) for column in self[1:]), strict=True)
+        for obs, part in zip(split_obs(self.obs, rows), columns, strict=True):
+            yield Minibatch(obs, *part)
+
+    def with_mirror_image(self, mirror: Mirror) -> Minibatch:
+        """These transitions and after them their mirror images, 2 B rows.
+
+        An image keeps the log-probability of its original. The mirrored action was drawn by the mirror image of the
+        old policy, whose density there is the density of the original action where that was taken; so the
+        likelihood ratio is the importance weight of the policy that did draw the sample, whether the old policy was
+        symmetric or not. Were the old policy asked about the mirrored pair instead, the ratio would start at 1, but
+        for a sample that this policy has not drawn, and images of rare actions would count as much as likely ones.
+        """
+        image = mirror.observation(self.obs)
+        return Minibatch(
+            {group: torch.cat((values, image[group])) for group, values in self.obs.items()},
+            torch.cat((self.action, mirror.action(self.action))),
+            torch.cat((self.mean, mirror.action(self.mean))),
+            *(column.repeat(2) for column in (self.log_prob, self.value, self.advantage, self.target)),
+        )
+
 
 class Rollout:
     """T steps of N environments, written in place.
@@ -27,30 +66,62 @@ class Rollout:
     Args:
         steps: T.
         num_envs: N.
-        dims: observation group -> columns.
+        dims: observation group -> columns; of the groups to keep.
         num_actions: size of the action.
+        device: where.
     """
 
-    def __init__(self, steps: int, num_envs: int, dims: Mapping[str, int], num_actions: int) -> None:
+    def __init__(
+        self,
+        steps: int,
+        num_envs: int,
+        dims: Mapping[str, int],
+        num_actions: int,
+        device: torch.device | str = "cpu",
+    ) -> None:
         def empty(*shape: int) -> Tensor:
-            return torch.zeros(steps, num_envs, *shape)
+            return torch.zeros(steps, num_envs, *shape, device=device)
 
         self.steps, self.num_envs = steps, num_envs
-        self.obs = {group: empty(size) for group, size in dims.items()}
+        self.states = {g: torch.zeros(steps + 1, num_envs, size, device=device) for g, size in dims.items()}
+        """Observations s_0 to s_T, group -> (T + 1, N, dim)."""
+        self.obs = {group: values[:-1] for group, values in self.states.items()}
+        """Those that were acted on, (T, N, dim); the same memory."""
         self.action, self.mean = empty(num_actions), empty(num_actions)
         self.log_prob, self.reward, self.value, self.next_value = empty(), empty(), empty(), empty()
         self.advantage, self.target = empty(), empty()
-        self.done = torch.zeros(steps, num_envs, dtype=torch.bool)
+        self.done = torch.zeros(steps, num_envs, dtype=torch.bool, device=device)
         self.terminated = torch.zeros_like(self.done)
+
+    def observe(self, t: int, obs: Mapping[str, Tensor]) -> None:
+        """Keep s_t, group -> (N, dim)."""
+        for group, values in self.states.items():
+            values[t] = obs[group]
 
     def minibatches(self, count: int, generator: torch.Generator) -> Iterator[Minibatch]:
         """Shuffle all T N transitions into `count` minibatches; each transition is visited once."""
         total = self.steps * self.num_envs
-        order = torch.randperm(total, generator=generator)
+        order = torch.randperm(total, generator=generator, device=self.reward.device)
         obs = {group: values.view(total, -1) for group, values in self.obs.items()}
-        action, mean = self.action.view(total, -1), self.mean.view(total, -1)
-        flat = [x.view(total) for x in (self.log_prob, self.value, self.advantage, self.target)]
+        wide = [column.view(total, -1) for column in (self.action, self.mean)]
+        narrow = [column.view(total) for column in (self.log_prob, self.value, self.advantage, self.target)]
         for rows in order.tensor_split(count):
-            log_prob, value, advantage, target = (x[rows] for x in flat)
-            picked = {group: values[rows] for group, values in obs.items()}
-            yield Minibatch(picked, action[rows], mean[rows], log_prob, value, advantage, target)
+            picked = {group: values.index_select(0, rows) for group, values in obs.items()}
+            yield Minibatch(picked, *(column.index_select(0, rows) for column in (*wide, *narrow)))
+
+
+def split_obs(obs: Mapping[str, Tensor], rows: int) -> Iterator[dict[str, Tensor]]:
+    """Parts of observations (B, dim) of at most `rows` rows, in order, without copying."""
+    for part in zip(*(values.split(rows) for values in obs.values()), strict=True):
+        yield dict(zip(obs, part, strict=True))
+
+
+def evaluate_rows(network: Callable[[Mapping[str, Tensor]], Tensor], obs: Mapping[str, Tensor]) -> Tensor:
+    """`network` of observations (B, dim), in parts that suit the device."""
+    rows = rows_at_once(next(iter(obs.values())).device)
+    return torch.cat([network(part) for part in split_obs(obs, rows)])
+
+
+def rows_at_once(device: torch.device) -> int:
+    """Rows that networks should be given at a time."""
+    return _ROWS.get(device.type, 2**31)

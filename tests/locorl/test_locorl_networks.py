@@ -1,0 +1,114 @@
+"""Networks of Fig. 3: sizes by hand, and who sees what."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+import torch
+from locorl import ActorCritic, NetworkConfig, load_policy
+from torch.distributions import Independent, Normal
+
+FLAT = {"proprio": 3, "explicit": 1, "implicit": 2}
+ROUGH = {**FLAT, "scan": 7, "history": 30}
+SMALL = NetworkConfig(actor=(16,), critic=(16,), encoder=(8,), latent=3, scan_encoder=(9,), scan_latent=4)
+
+
+def draw(dims: dict[str, int], rows: int = 5) -> dict[str, torch.Tensor]:
+    return {group: torch.randn(rows, size) for group, size in dims.items()}
+
+
+def layers(network: torch.nn.Module) -> list[tuple[int, int]]:
+    return [(x.in_features, x.out_features) for x in network.modules() if isinstance(x, torch.nn.Linear)]
+
+
+@pytest.fixture
+def rough() -> ActorCritic:
+    torch.manual_seed(1)
+    return ActorCritic(ROUGH, 5, SMALL)
+
+
+def test_the_papers_sizes():
+    """Those of the reference implementation, whose groups have 53, 132, 9 and 29 numbers."""
+    dims = {"proprio": 53, "explicit": 9, "implicit": 29, "scan": 132, "history": 530}
+    model = ActorCritic(dims, 12, NetworkConfig.paper())
+    assert model.scan_encoder is not None
+    assert layers(model.scan_encoder) == [(132, 128), (128, 64), (64, 32)]
+    assert layers(model.encoder) == [(29, 64), (64, 20)]
+    assert layers(model.actor) == [(114, 512), (512, 256), (256, 128), (128, 12)]  # 53 + 32 + 9 + 20
+    assert layers(model.critic) == [(223, 512), (512, 256), (256, 128), (128, 1)]  # 53 + 9 + 29 + 132
+    assert model.std().tolist() == pytest.approx([1.0] * 12)
+
+
+def test_activations_are_elu_and_the_scans_last_is_tanh(rough):
+    assert rough.scan_encoder is not None
+    kinds = [type(x).__name__ for x in rough.scan_encoder]
+    assert kinds == ["Linear", "ELU", "Linear", "Tanh"]
+    assert [type(x).__name__ for x in rough.actor] == ["Linear", "ELU", "Linear"]
+    big = {**draw(ROUGH), "scan": torch.full((5, 7), 1e4)}
+    assert rough.scan_latent(big).abs().max() <= 1.0
+
+
+def test_the_actor_sees_latents_in_place_of_scan_and_implicit_state(rough):
+    obs = draw(ROUGH)
+    joined = torch.cat((obs["proprio"], rough.scan_latent(obs), obs["explicit"], rough.latent(obs)), dim=1)
+    torch.testing.assert_close(rough.act(obs), rough.actor(joined))
+    torch.testing.assert_close(rough.actor[-1](rough.features(obs)), rough.act(obs))
+    assert rough.latent(obs).shape == (5, 3)
+    assert rough.scan_latent(obs).shape == (5, 4)
+    assert rough.value(obs).shape == (5,)
+
+
+@pytest.mark.parametrize("group", ROUGH)
+def test_the_critic_sees_all_but_the_history(rough, group):
+    obs = draw(ROUGH)
+    changed = {**obs, group: obs[group] + 1.0}
+    assert torch.equal(rough.value(obs), rough.value(changed)) == (group == "history")
+    assert torch.equal(rough.act(obs), rough.act(changed)) == (group == "history")
+
+
+def test_without_a_scan_the_layout_is_the_one_of_shipped_policies():
+    torch.manual_seed(1)
+    model = ActorCritic(FLAT, 5, SMALL)
+    names = {name.split(".")[0] for name in model.state_dict()}
+    assert names == {"encoder", "actor", "critic", "log_std"}
+    obs = draw(FLAT)
+    joined = torch.cat((obs["proprio"], obs["explicit"], model.latent(obs)), dim=1)
+    torch.testing.assert_close(model.act(obs), model.actor(joined))
+    complete = torch.cat((obs["proprio"], obs["explicit"], obs["implicit"]), dim=1)
+    torch.testing.assert_close(model.value(obs), model.critic(complete).squeeze(1))
+    with pytest.raises(ValueError, match="no scan encoder"):
+        model.scan_latent(obs)
+
+
+def test_the_shipped_policy_acts_as_its_weights_say():
+    path = Path(str(files("legged_codesign"))) / "pretrained" / "go2-flat" / "policy.pt"
+    policy = load_policy(path)
+    torch.manual_seed(0)
+    obs = draw(dict(policy.card.dims))
+    weights = torch.load(path, weights_only=True)["model"]
+
+    def forward(network: str, x: torch.Tensor) -> torch.Tensor:
+        numbers = sorted({int(name.split(".")[1]) for name in weights if name.startswith(f"{network}.")})
+        for number in numbers:
+            x = x @ weights[f"{network}.{number}.weight"].T + weights[f"{network}.{number}.bias"]
+            x = x if number == numbers[-1] else torch.where(x > 0, x, x.exp() - 1)
+        return x
+
+    seen = torch.cat((obs["proprio"], obs["explicit"], forward("encoder", obs["implicit"])), dim=1)
+    torch.testing.assert_close(policy.act(obs), forward("actor", seen))
+
+
+def test_log_prob_and_entropy_against_torch(rough):
+    with torch.no_grad():
+        rough.log_std.copy_(torch.tensor([-1.0, 0.0, 0.5, -0.3, -9.0]))  # the last is held at the floor
+    mean, action = torch.randn(2, 7, 5)
+    truth = Independent(Normal(mean, rough.std()), 1)
+    torch.testing.assert_close(rough.log_prob(mean, action), truth.log_prob(action))
+    torch.testing.assert_close(rough.entropy(), truth.entropy()[0])
+    assert rough.std()[-1].item() == pytest.approx(SMALL.min_std)
+
+
+def test_the_first_mean_action_is_small(rough):
+    assert rough.act(draw(ROUGH, 1000)).std() < 0.1
