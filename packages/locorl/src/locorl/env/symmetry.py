@@ -95,7 +95,7 @@ class Symmetry:
             joints=ColumnMirror.of((pairs.joint, pairs.joint_sign), env.device),
         )
 
-    def observation(self, obs: Obs) -> Obs:
+    def observation(self, obs: Mapping[str, Tensor]) -> Obs:
         """The mirror image of an observation or a part of its groups, group -> (..., dim)."""
         return {group: self.groups[group](values) for group, values in obs.items()}
 
