@@ -20,9 +20,9 @@ from locorl.evaluation.obstacles import ObstacleBin, success_by_obstacle
 from locorl.evaluation.statistics import Estimate
 from locorl.interfaces import Array
 
-INK, MUTED, ACCENT, FAILED = "#1d2430", "#6b7480", "#0b7a75", "#c0392b"
+INK, MUTED, ACCENT, FAILED = "#1d2430", "#6b7480", "#0b7a75", "#1f4fd8"
 LINES = ("#0b7a75", "#c8553d", "#3b5b92", "#b58900", "#8e4585", "#6b7480")
-_GOOD_TO_BAD = LinearSegmentedColormap.from_list("error", ("#d8efe6", "#5fb3a1", "#e9b44c", "#a63a2a"))
+_GOOD_TO_BAD = LinearSegmentedColormap.from_list("error", ("#f3f1e4", "#f3d08c", "#e1904f", "#b4412f", "#641220"))
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -60,11 +60,11 @@ class _Plane:
 
 
 def planes(designs: Array, names: Sequence[str]) -> list[_Plane]:
-    """The planes in which bodies (B, d) are drawn.
+    """The planes in which bodies (B, d) with d > 1 are drawn.
 
     The four leg parameters become length against length (mean of thigh and shank, front against hind legs) and
     proportion against proportion (thigh minus shank): two pictures that hold all four numbers. Other parameters are
-    drawn pair by pair, a single one against itself.
+    drawn pair by pair.
     """
     if tuple(names) == ("front_thigh", "front_shank", "hind_thigh", "hind_shank"):
         thighs, shanks = designs[:, ::2], designs[:, 1::2]
@@ -76,84 +76,91 @@ def planes(designs: Array, names: Sequence[str]) -> list[_Plane]:
             _Plane(share[:, 0], share[:, 1], "front leg: thigh minus shank", "hind leg: thigh minus shank"),
         ]
     columns = [(values, name.replace("_", " ")) for values, name in zip(designs.T, names, strict=True)]
-    pairs = list(itertools.combinations(columns, 2)) or [(columns[0], columns[0])]
-    return [_Plane(x, y, x_name, y_name) for (x, x_name), (y, y_name) in pairs]
+    return [_Plane(x, y, x_name, y_name) for (x, x_name), (y, y_name) in itertools.combinations(columns, 2)]
 
 
 def bodies_figure(result: Evaluation, names: Sequence[str]) -> Figure:
-    """Tracking error of each body over the design space, failures marked; success by obstacle size on a course.
+    """How each body did over the design space, and on a course success by obstacle size.
+
+    The colour is the tracking error, and crosses mark bodies that fell; on a course it is the share of the body's
+    robots that did not come through.
 
     Args:
         result: the evaluation.
         names: of the d design parameters.
     """
-    views = planes(result.designs, names)
-    error = result.tracking_error.mean(axis=1)
-    failed = np.asarray(~result.through.all(axis=1))
+    failed = np.mean(~result.through, axis=1)
+    if result.course is None:
+        value, meaning = result.tracking_error.mean(axis=1), "tracking error, m/s"
+        top = max(float(np.quantile(value, 0.95)), 1e-3)
+    else:
+        value, meaning, top = failed, "share of robots that did not come through", 1.0
+    if len(names) == 1:
+        views = [_Plane(result.designs[:, 0], value, names[0].replace("_", " "), meaning)]
+    else:
+        views = planes(result.designs, names)
     count = len(views) + (result.course is not None)
     columns = min(count, 3)
     rows = -(-count // columns)
     figure = Figure((4.9 * columns + 0.9, 4.6 * rows), layout="constrained", facecolor="white")
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    norm = Normalize(0.0, max(float(np.quantile(error, 0.95)), 1e-3))
-    # a body with several robots fails if one of them does
-    word = "fell" if result.succeeded is None else "not through"
+    norm = Normalize(0.0, top)
     for ax, view in zip(axes, views, strict=False):
-        _draw_bodies(ax, view, error, failed, norm)
+        _draw_bodies(ax, view, value, failed if result.course is None else np.zeros_like(failed), norm)
     for ax in axes[count:]:
         ax.set_axis_off()
     used = list(axes[: len(views)])
-    bar = figure.colorbar(ScalarMappable(norm, _GOOD_TO_BAD), ax=used, shrink=0.75, pad=0.02, extend="max")
-    bar.set_label("tracking error, m/s (mean of a body's robots)", color=MUTED, fontsize=9.5)
+    extend = "max" if value.max() > top else "neither"
+    bar = figure.colorbar(ScalarMappable(norm, _GOOD_TO_BAD), ax=used, shrink=0.75, pad=0.02, extend=extend)
+    bar.set_label(meaning, color=MUTED, fontsize=9.5)
     bar.ax.tick_params(colors=MUTED, labelsize=8.5)
     bar.outline.set_visible(False)
-    robots = result.command.shape[1]
-    each = "" if robots == 1 else f" x {robots} robots"
-    title = (
-        f"{len(error)} bodies{each}, {int(failed.sum())} of them {word}"
-        if failed.any()
-        else f"{len(error)} bodies{each}"
-    )
-    figure.suptitle(title + (" (crosses)" if failed.any() else ""), x=0.01, ha="left", color=INK, fontsize=11.5)
+    robots = result.command.size
+    each = "" if robots == len(value) else f", {robots} robots"
+    done = int(result.through.sum())
+    word = f"{robots - done or 'none'} fell (×)" if result.course is None else f"{done} came through"
+    figure.suptitle(f"{len(value)} bodies{each}: {word}", x=0.01, ha="left", color=INK, fontsize=11.5)
     if result.course is not None:
         _draw_success(axes[len(views)], success_by_obstacle(result))
     return figure
 
 
-def _draw_bodies(ax: Axes, view: _Plane, error: Array, failed: np.ndarray, norm: Normalize) -> None:
+def _draw_bodies(ax: Axes, view: _Plane, value: Array, failed: Array, norm: Normalize) -> None:
     """Bodies as dots; those of a grid, which lie on one another, as tiles with their mean."""
     _plain(ax)
     place, at = np.unique(np.round(np.stack((view.x, view.y)), 6), axis=1, return_inverse=True)
-    crowded = place.shape[1] <= len(error) / 2
-    if crowded:
-        share = np.bincount(at.ravel())
-        mean, lost = (np.bincount(at.ravel(), weights=values) / share for values in (error, failed))
-        across, up = (min(np.diff(np.unique(line)), default=0.2) * 0.92 for line in place)
-        for x, y, value, gone in zip(*place, mean, lost, strict=True):
-            low = (x - across / 2, y - up / 2)
-            ax.add_patch(Rectangle(low, across, up, facecolor=_GOOD_TO_BAD(norm(value)), edgecolor="none"))
-            note = f"{value:.2f}" + (f"\n{gone:.0%} ×" if gone else "")
-            dark = norm(value) > 0.85
-            ax.text(x, y, note, ha="center", va="center", fontsize=8.5, color="white" if dark else INK)
-        ax.set_xlim(place[0].min() - across * 0.6, place[0].max() + across * 0.6)
-        ax.set_ylim(place[1].min() - up * 0.6, place[1].max() + up * 0.6)
+    if place.shape[1] <= len(value) / 2:
+        _draw_tiles(ax, place, at.ravel(), value, failed, norm)
     else:
-        order = np.argsort(error)  # the worst on top
+        order = np.argsort(value)  # the worst on top
         x, y = view.x[order], view.y[order]
-        ax.scatter(x, y, c=error[order], cmap=_GOOD_TO_BAD, norm=norm, s=62, edgecolor="#40484f", linewidth=0.5)
-        ax.scatter(view.x[failed], view.y[failed], marker="x", s=95, color=FAILED, linewidth=1.8, zorder=3)
+        ax.scatter(x, y, c=value[order], cmap=_GOOD_TO_BAD, norm=norm, s=62, edgecolor="#40484f", linewidth=0.5)
+        x, y = view.x[failed > 0], view.y[failed > 0]
+        ax.scatter(x, y, marker="x", s=95, color=FAILED, linewidth=1.8, zorder=3)
     ax.set_xlabel(view.x_name, color=MUTED, fontsize=9.5)
     ax.set_ylabel(view.y_name, color=MUTED, fontsize=9.5)
 
 
-def success_figure(bins: Sequence[ObstacleBin]) -> Figure:
-    """Share of successes against obstacle size, with 95 % intervals and the number of robots."""
-    figure = Figure((5.2, 4.2), layout="constrained", facecolor="white")
-    _draw_success(figure.subplots(), bins)
-    return figure
+def _draw_tiles(ax: Axes, place: Array, at: np.ndarray, value: Array, failed: Array, norm: Normalize) -> None:
+    """Means over the bodies `at` each of the k places (2, k), and how many of them failed."""
+    bodies = np.bincount(at)
+    mean, lost = np.bincount(at, weights=value) / bodies, np.bincount(at, weights=failed > 0)
+    across, up = (min(np.diff(np.unique(line)), default=0.2) * 0.92 for line in place)
+    for x, y, colour, gone, count in zip(*place, mean, lost, bodies, strict=True):
+        low = (x - across / 2, y - up / 2)
+        ax.add_patch(Rectangle(low, across, up, facecolor=_GOOD_TO_BAD(norm(colour)), edgecolor="none"))
+        note = f"{colour:.2f}" + (f"\n× {gone:.0f} of {count}" if gone else "")
+        ink = "white" if norm(colour) > 0.6 else INK
+        ax.text(x, y, note, ha="center", va="center", fontsize=8.5, color=ink)
+    ax.grid(visible=False)
+    ax.set_xticks(np.unique(place[0]))
+    ax.set_yticks(np.unique(place[1]))
+    ax.set_xlim(place[0].min() - across * 0.6, place[0].max() + across * 0.6)
+    ax.set_ylim(place[1].min() - up * 0.6, place[1].max() + up * 0.6)
 
 
 def _draw_success(ax: Axes, bins: Sequence[ObstacleBin]) -> None:
+    """Share of successes against obstacle size, with 95 % intervals and the number of robots."""
     _plain(ax)
     middle = [(each.low + each.high) / 2 for each in bins]
     rate = np.array([each.rate for each in bins])
@@ -208,8 +215,8 @@ def finetune_figure(curve: Sequence[Mapping[str, float]], judged: Mapping[int, E
         axes[1].errorbar(steps, [value.mean for value in values], errors, color=LINES[2], fmt="o-", capsize=3)
         mean = judged[chosen].mean
         axes[1].scatter([chosen], [mean], s=130, facecolor="none", edgecolor=FAILED, linewidth=1.6, zorder=3)
-        axes[1].annotate("kept", (chosen, mean), (0, 11), textcoords="offset points", ha="center", color=FAILED)
-        axes[1].margins(y=0.18)
+        axes[1].annotate("kept", (chosen, mean), (9, 9), textcoords="offset points", color=FAILED)
+        axes[1].margins(x=0.08, y=0.18)
         axes[1].set_ylabel("return (eq. 9), ± standard error", color=MUTED, fontsize=9.5)
     axes[-1].set_xlabel("iteration", color=MUTED, fontsize=9.5)
     return figure
