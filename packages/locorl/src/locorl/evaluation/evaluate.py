@@ -15,6 +15,7 @@ from locorl.env.commands import CommandConfig
 from locorl.env.legged_env import LeggedEnv
 from locorl.env.randomisation import no_randomisation
 from locorl.evaluation.gait import Gait, GaitMeter, sole_height
+from locorl.evaluation.legs import Legs
 from locorl.interfaces import Array, BodyFactory
 from locorl.tasks.task import TaskConfig
 
@@ -197,7 +198,7 @@ def evaluate(
     bodies, robots = len(designs), config.robots_per_body
     task = _protocol(task, config)
     env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
-    meter = GaitMeter(sole_height(env, robots))
+    meter, legs = GaitMeter(sole_height(env, robots), env.dt), Legs(env.sim.model, factory.layout.joints)
     steps = round(config.seconds / env.dt)
     settle = round(config.settle / env.dt)
     obs = env.reset(seed=config.seed)
@@ -231,7 +232,9 @@ def evaluate(
             feet = env.sim.foot_position
             ground = env.terrain.heights.at(feet[..., :2].float())
             # who has started anew stands elsewhere
-            meter.add(feet, ground, env.contacts.touching, moved, under_way & ~(terminated | truncated))
+            going = under_way & ~(terminated | truncated)
+            rate = legs.foot_rate(env.sim.qpos, env.sim.qvel)
+            meter.add(feet, rate, ground, env.contacts.touching, moved, going)
         arrived = arrived | (under_way & info.success)
 
     def shape(values: Tensor) -> Array:

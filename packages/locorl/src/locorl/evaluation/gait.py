@@ -28,8 +28,8 @@ class Gait:
         clearance: highest point of a foot's sole above the ground beneath during a swing, mean over all swings of
             all feet, m; 0 if no foot ever swung.
         slip: way that a foot slides while it touches something, mean over the feet, per metre travelled: 1 for a
-            robot that is dragged on all feet, infinite for one that gets nowhere. It is the way of the foot's centre,
-            so a round foot that rolls over its leg's swing counts its radius times that angle.
+            robot that is dragged on all feet, infinite for one that gets nowhere. What slides is the sole below the
+            centre of the foot: a round foot that rolls does not.
         duty_factor: share of the time that a foot touches something, mean over the feet; more than 0.5 walks, less
             runs.
     """
@@ -50,12 +50,14 @@ class GaitMeter:
 
     Args:
         sole: height of each foot's centre when it stands on level ground, (N, feet), m.
+        dt: control period, s.
     """
 
-    def __init__(self, sole: Tensor) -> None:
+    def __init__(self, sole: Tensor, dt: float) -> None:
         sole = sole.double()
-        self._sole = sole
-        self._feet = torch.zeros(*sole.shape, 3, dtype=torch.float64)
+        self._sole, self._dt = sole, dt
+        self._feet = torch.zeros(*sole.shape, 2, dtype=torch.float64)
+        self._lead = torch.zeros_like(self._feet)
         self._touching, self._stood = (torch.zeros(sole.shape, dtype=torch.bool) for _ in range(2))
         self._counted = torch.zeros(len(sole), dtype=torch.bool)
         self._air, self._swings = (torch.zeros(sole.shape, dtype=torch.long) for _ in range(2))
@@ -63,19 +65,22 @@ class GaitMeter:
         self._heights = torch.zeros_like(sole)
         self._slid, self._way, self._stance, self._steps = torch.zeros(4, len(sole), dtype=torch.float64)
 
-    def add(self, feet: Tensor, ground: Tensor, touching: Tensor, way: Tensor, counted: Tensor) -> None:
+    def add(self, feet: Tensor, rate: Tensor, ground: Tensor, touching: Tensor, way: Tensor, counted: Tensor) -> None:
         """Take in one control step.
 
         Args:
             feet: centres of the feet, world, (N, feet, 3), m.
+            rate: angular velocity of the feet, world axes, (N, feet, 3), rad/s.
             ground: height of the ground beneath them, (N, feet), m.
             touching: feet that touch something, (N, feet) bool.
             way: way of each robot in this step, (N,), m.
             counted: robots that this step counts for, (N,) bool; one that is left out starts anew.
         """
-        feet = feet.double()
+        place, rate = feet[..., :2].double(), rate.double()
         both = counted & self._counted
-        slid = (feet[..., :2] - self._feet[..., :2]).norm(dim=-1)
+        # velocity of the sole relative to the centre above it: rate x (0, 0, -sole)
+        lead = torch.stack((-rate[..., 1], rate[..., 0]), dim=-1) * self._sole[..., None]
+        slid = (place - self._feet + 0.5 * self._dt * (lead + self._lead)).norm(dim=-1)
         self._slid += (slid * (touching & self._touching)).mean(dim=1) * both
         self._way += way * both
         self._stance += touching.double().mean(dim=1) * counted
@@ -90,7 +95,8 @@ class GaitMeter:
         self._air = torch.where(swinging, self._air + 1, 0)
         height = feet[..., 2] - ground - self._sole
         self._peak = torch.where(swinging, torch.maximum(self._peak, height), -torch.inf)
-        self._feet, self._touching, self._counted = feet.clone(), touching.clone(), counted.clone()
+        self._feet, self._lead = place.clone(), lead  # the simulator's tensors are live
+        self._touching, self._counted = touching.clone(), counted.clone()
 
     def gait(self) -> Gait:
         """What was added up; arrays are (N,)."""
