@@ -94,21 +94,20 @@ def opengl(monkeypatch):
         pytest.skip(str(error))
 
 
-@pytest.mark.parametrize("task", ["locomotion-flat", "parkour-stones"])
+@pytest.mark.parametrize("task", ["locomotion-flat", pytest.param("parkour-stones", marks=pytest.mark.slow)])
 def test_films_change_nothing_in_the_training(factory, tiny, tmp_path, opengl, task):
     imageio = pytest.importorskip("imageio.v3")
     config = replace(tiny, task=make_task(task))
     for name in ("without", "with"):
-        watchers = [Films(tmp_path / "films", 2, seconds=0.1)] if name == "with" else []
+        watchers = [Films(tmp_path / "films", 2, seconds=0.04)] if name == "with" else []
         Trainer(factory, config, tmp_path / name, threads=1).run(quiet=True, watchers=watchers)
     ends = [checkpoint.load(tmp_path / name / "checkpoint.pt") for name in ("without", "with")]
     for part in ("model", "ppo", "env", "torch_generator"):
         torch.testing.assert_close(ends[0][part], ends[1][part], rtol=0, atol=0)
     assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["000002.mp4", "000004.mp4"]
     frames = imageio.imread(tmp_path / "films" / "000004.mp4")
-    assert frames.shape == (5, 360, 640, 3)
-    panes = [frames[:, y : y + 180, x : x + 320].astype(float) for y in (0, 180) for x in (0, 320)]
-    assert all(pane.std() > 5.0 for pane in panes)  # four robots, none of them a blank
+    assert frames.shape == (2, 270, 640, 3)
+    assert all(pane.std() > 5.0 for pane in (frames[:, :, :320], frames[:, :, 320:]))  # two robots, no blanks
 
 
 def test_films_that_cannot_be_made_are_refused_before_the_training(tmp_path, monkeypatch):

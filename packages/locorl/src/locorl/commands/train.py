@@ -49,7 +49,8 @@ class Train:
     tensorboard: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Write FOLDER/tensorboard too, from the first iteration on (extra `tensorboard`); metrics.jsonl has the same."""
     films: int = 0
-    """Iterations between films of four robots in FOLDER/films (extra `play`); 0 makes none."""
+    """Iterations between films of two robots in FOLDER/films (extra `play`), half a minute each without a GPU; 0 makes
+    none."""
     replay: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Train nothing, but repeat the iteration that stopped the run with NaN, from FOLDER/fault.pt."""
     config: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)

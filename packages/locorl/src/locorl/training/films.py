@@ -17,7 +17,8 @@ from locorl.play.video import write_video
 if TYPE_CHECKING:
     from locorl.training.trainer import Trainer
 
-_SIZE = (640, 360)
+_SIZE = (640, 270)
+"""px; drawing takes as long as the simulation of many robots where there is no GPU."""
 
 
 class Films:
@@ -37,7 +38,7 @@ class Films:
         PlayError: there is no OpenGL, or a package of the extra `play` is missing.
     """
 
-    def __init__(self, folder: Path, every: int, robots: int = 4, seconds: float = 6.0) -> None:
+    def __init__(self, folder: Path, every: int, robots: int = 2, seconds: float = 4.0) -> None:
         if every < 1:
             raise ValueError(f"there must be at least one iteration between films, got {every}")
         # hours of training should not end at the first film

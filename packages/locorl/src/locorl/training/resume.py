@@ -32,13 +32,16 @@ def read_checkpoint(path: Path, config: TrainConfig, quiet: bool = False) -> Map
     content, warning = found
     if "config" not in content:
         raise checkpoint.CheckpointError(f"{path} holds a policy but no training to resume; use another folder")
-    theirs, mine = content["config"], to_dict(config)
-    # a longer run of the same configuration is the same run, unless the bodies share the iterations out
-    free = {} if config.morphology.kind == "temporal" else {"iterations": 0}
-    if config_hash({**theirs, **free}) != config_hash({**mine, **free}):
+    # the run is the same if it is longer or saves at other times, unless the bodies share the iterations out
+    free = {"save_every"} if config.morphology.kind == "temporal" else {"save_every", "iterations"}
+    theirs, mine = (
+        {name: value for name, value in each.items() if name not in free}
+        for each in (content["config"], to_dict(config))
+    )
+    if config_hash(theirs) != config_hash(mine):
         raise checkpoint.CheckpointError(
             f"{path} belongs to another configuration; use another folder. Differences:\n  "
-            + "\n  ".join(differences({**theirs, **free}, {**mine, **free}))
+            + "\n  ".join(differences(theirs, mine))
         )
     if warning and not quiet:
         rich.get_console().print(f"{warning}, of iteration {content['iteration']}", highlight=False, soft_wrap=True)
