@@ -31,21 +31,23 @@ class Legs:
         # how each link is mounted on the one before
         mounted = torch.from_numpy(model.body_quat[model.jnt_bodyid[ids]].copy())
         self._mounted = rotation(mounted).view(*shape, 3, 3)
-        x, y, z = self._axis.unbind(dim=-1)
-        nothing = torch.zeros_like(x)
-        self._cross = torch.stack((nothing, -z, y, z, nothing, -x, -y, x, nothing), dim=-1).view(*shape, 3, 3)
+        self._tilted = [bool((self._mounted[:, joint] != torch.eye(3)).any()) for joint in range(shape[1])]
 
     def foot_rate(self, qpos: Tensor, qvel: Tensor) -> Tensor:
         """Angular velocity of each foot, world axes, (N, legs, 3), rad/s, from qpos (N, 19) and qvel (N, 18)."""
-        angle = qpos[:, 7:].double().view(-1, *self._shape) - self._zero
-        speed = qvel[:, 6:].double().view(-1, *self._shape)
-        base = rotation(qpos[:, 3:7].double())
-        rate = qvel[:, None, 3:6].double().expand(-1, self._shape[0], 3)
-        link = torch.eye(3, dtype=torch.float64)
-        for joint in range(self._shape[1]):
-            link = link @ self._mounted[:, joint]
-            rate = rate + (link @ self._axis[:, joint, :, None]).squeeze(-1) * speed[:, :, joint, None]
-            sin, cos = (f(angle[:, :, joint, None, None]) for f in (torch.sin, torch.cos))
-            cross = self._cross[:, joint]
-            link = link @ (torch.eye(3, dtype=torch.float64) + sin * cross + (1 - cos) * (cross @ cross))
-        return (base[:, None] @ rate[..., None]).squeeze(-1)
+        angle = qpos[:, 7:].view(-1, *self._shape) - self._zero
+        sin, cos = angle.sin()[..., None], angle.cos()[..., None]
+        turning = qvel[:, 6:].view(-1, *self._shape)[..., None] * self._axis
+        # from the foot inwards: what turns beyond a joint turns with it
+        rate = torch.zeros_like(turning[:, :, 0])
+        for joint in reversed(range(self._shape[1])):
+            axis = self._axis[:, joint].expand_as(rate)
+            if joint + 1 < self._shape[1]:  # Rodrigues
+                along = axis * (axis * rate).sum(dim=-1, keepdim=True)
+                around = torch.linalg.cross(axis, rate)
+                rate = along + cos[:, :, joint] * (rate - along) + sin[:, :, joint] * around
+            rate = rate + turning[:, :, joint]
+            if self._tilted[joint]:
+                rate = (self._mounted[:, joint] @ rate[..., None]).squeeze(-1)
+        base = rotation(qpos[:, 3:7])
+        return (rate + qvel[:, None, 3:6]) @ base.transpose(1, 2)
