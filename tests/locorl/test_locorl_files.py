@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import pickle
+import re
+import time
 from dataclasses import replace
 
 import pytest
@@ -14,7 +17,7 @@ from hypothesis import strategies as st
 from locorl import CheckpointError, FinetuneConfig, TaskConfig, TrainConfig, checkpoint, load_policy, table_i
 from locorl.config import config_hash, differences, from_dict, to_dict
 from locorl.learning.policy import PolicyCard
-from locorl.training.metrics import MetricsFile, read_metrics
+from locorl.training.metrics import MetricsFile, TrainingProgress, read_metrics
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -209,3 +212,18 @@ def test_metrics_drop_what_will_be_written_again(tmp_path):
         {"iteration": 3, "reward": 1.5},
         {"iteration": 4, "reward": 9.0},
     ]
+
+
+def test_progress_without_a_terminal_tells_the_time_left(capsys, monkeypatch):
+    clock = itertools.count(100, 11)  # a line every ten seconds at most
+    monkeypatch.setattr("locorl.training.metrics.time.monotonic", lambda: next(clock))
+    with TrainingProgress("train", 100, 40) as progress:
+        for done in (41, 42, 100):
+            time.sleep(0.1)
+            progress.update(done, f"note {done}")
+    lines = capsys.readouterr().out.split("\n")
+    assert lines[0] == "train 41/100 note 41"
+    seconds = re.fullmatch(r"train 42/100 note 42  0:00:(\d\d) left", lines[1])
+    assert seconds is not None
+    assert 6 <= int(seconds[1]) <= 30  # 58 iterations of a little more than 0.1 s
+    assert lines[2] == "train 100/100 note 100"
