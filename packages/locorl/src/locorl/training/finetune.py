@@ -160,6 +160,8 @@ def finetune(
     done = trainer.iteration
     candidates = [candidate for candidate in candidates if candidate.iteration <= done] if done else []
     curve: list[dict[str, float]] = []
+    # the progress bar counts to the next evaluation
+    title = f"fine-tune ({config.iterations} iterations)" if config.evaluate_every else "fine-tune"
     stopped = False
     while True:
         now = trainer.iteration
@@ -171,7 +173,7 @@ def finetune(
             break
         # one Trainer all the time: stopping and going on changes nothing but when it writes its checkpoint
         trainer.config = replace(train, iterations=config.next_stop(now))
-        curve += trainer.run("fine-tune", quiet=quiet)
+        curve += trainer.run(title, quiet=quiet)
     if folder is not None:  # a resumed run has earlier iterations too
         curve = read_metrics(folder / "metrics.jsonl")
     if not config.keep_best:
