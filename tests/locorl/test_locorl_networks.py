@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from locorl import ActorCritic, NetworkConfig, load_policy
+from locorl.learning.layers import run
 from torch.distributions import Independent, Normal
 
 FLAT = {"proprio": 3, "explicit": 1, "implicit": 2}
@@ -112,3 +113,34 @@ def test_log_prob_and_entropy_against_torch(rough):
 
 def test_the_first_mean_action_is_small(rough):
     assert rough.act(draw(ROUGH, 1000)).std() < 0.1
+
+
+def test_layers_are_torchs_own_and_their_gradients_too():
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(
+        torch.nn.Linear(6, 40),
+        torch.nn.ELU(),
+        torch.nn.Linear(40, 30),
+        torch.nn.ELU(),
+        torch.nn.Linear(30, 3),
+        torch.nn.Tanh(),
+    ).double()
+    x = (3.0 * torch.randn(50, 6, dtype=torch.float64)).requires_grad_()
+    found, truth = run(network, x), network(x)
+    torch.testing.assert_close(found, truth)
+    wanted = (x, *network.parameters())
+    weights = torch.randn(50, 3, dtype=torch.float64)
+    for a, b in zip(*(torch.autograd.grad((y * weights).sum(), wanted) for y in (found, truth)), strict=True):
+        torch.testing.assert_close(a, b)
+
+
+@pytest.mark.parametrize(
+    "z", [0.0, 1e-6, -1e-6, 1e-3, -1e-3, -0.5, -30.0, 100.0, -1e4, 1e4, float("inf"), float("-inf")]
+)
+def test_elu_near_and_far_from_zero(z):
+    network = torch.nn.Sequential(torch.nn.Linear(1, 1), torch.nn.ELU())
+    torch.nn.init.ones_(network[0].weight)
+    torch.nn.init.zeros_(network[0].bias)
+    x = torch.tensor([[z]])
+    torch.testing.assert_close(run(network, x), torch.nn.functional.elu(x), rtol=1e-6, atol=1e-7)
+    assert run(network, x * float("nan")).isnan().all()

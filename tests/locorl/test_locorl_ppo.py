@@ -10,7 +10,7 @@ import pytest
 import torch
 from locorl import PPO, ActorCritic, DivergedError, PPOConfig
 from locorl.learning.losses import clipped_surrogate, clipped_value_loss, gaussian_kl
-from locorl.learning.storage import Minibatch, Rollout, evaluate_rows
+from locorl.learning.storage import Minibatch, Rollout
 from locorl_target import DIMS, NETWORK, TargetEnv, make_ppo
 from torch.distributions import Independent, Normal, kl_divergence
 
@@ -104,30 +104,6 @@ def test_minibatches_visit_each_transition_once():
         check_columns(each)
     again = torch.cat([batch.value for batch in rollout.minibatches(4, generator)])
     assert not torch.equal(again, visited)
-
-
-def test_parts_make_up_a_minibatch():
-    (whole,) = numbered_rollout(25, 100).minibatches(1, torch.Generator())
-    parts = list(whole.parts())
-    assert len(parts) > 1
-    assert torch.equal(torch.cat([part.value for part in parts]), whole.value)
-    for part in parts:
-        check_columns(part)
-    network = torch.nn.Linear(2, 3)
-    found = evaluate_rows(lambda obs: network(obs["proprio"]), whole.obs)
-    torch.testing.assert_close(found, network(whole.obs["proprio"]))
-
-
-def test_parts_of_a_minibatch_give_its_gradient(monkeypatch):
-    def gradient(rows: int) -> list[torch.Tensor]:
-        monkeypatch.setattr("locorl.learning.storage._ROWS", {"cpu": rows})
-        ppo, env = make_ppo(PPOConfig(steps=4, epochs=1, minibatches=1, max_grad_norm=1e9)), TargetEnv()
-        ppo.collect(env, env.observe())
-        ppo.update()
-        return [parameter.grad for parameter in ppo.model.parameters()]
-
-    for whole, parts in zip(gradient(4096), gradient(33), strict=True):  # 128 rows: 33, 33, 33, 29
-        torch.testing.assert_close(parts, whole, rtol=1e-4, atol=1e-6)
 
 
 def test_a_rollout_bootstraps_with_the_state_it_was_cut_in():

@@ -44,7 +44,7 @@ class RolloutHook(Protocol):
         ...
 
     def loss(self, batch: Minibatch) -> Tensor | None:
-        """A term () of the loss, a mean over rows; PPO may call this on several parts of one minibatch."""
+        """A term () of the loss, a mean over the rows of a minibatch, its mirror image among them."""
         ...
 
     def parameters(self) -> Iterable[nn.Parameter]:

@@ -10,6 +10,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
+from locorl.learning.layers import run
+
 Obs = Mapping[str, Tensor]
 
 
@@ -88,7 +90,7 @@ class ActorCritic(nn.Module):
 
     def latent(self, obs: Obs) -> Tensor:
         """Latent of the implicit privileged state, (N, latent)."""
-        return self.encoder(obs["implicit"])
+        return run(self.encoder, obs["implicit"])
 
     def scan_latent(self, obs: Obs) -> Tensor:
         """Latent of the height scan, (N, scan_latent), within +-1.
@@ -98,13 +100,13 @@ class ActorCritic(nn.Module):
         """
         if self.scan_encoder is None:
             raise ValueError("this policy has no scan encoder: its task observes no height scan")
-        return self.scan_encoder(obs["scan"])
+        return run(self.scan_encoder, obs["scan"])
 
     def features(self, obs: Obs) -> Tensor:
         """What the actor's last layer sees, (N, last hidden size)."""
         scan = () if self.scan_encoder is None else (self.scan_latent(obs),)
         seen = torch.cat((obs["proprio"], *scan, obs["explicit"], self.latent(obs)), dim=-1)
-        return self.actor[:-1](seen)
+        return run(self.actor[:-1], seen)
 
     def act(self, obs: Obs) -> Tensor:
         """Mean action, (N, num_actions)."""
@@ -112,7 +114,8 @@ class ActorCritic(nn.Module):
 
     def value(self, obs: Obs) -> Tensor:
         """Value of the state, (N,)."""
-        return self.critic(torch.cat([obs[group] for group in self.groups], dim=-1)).squeeze(-1)
+        state = torch.cat([obs[group] for group in self.groups], dim=-1)
+        return run(self.critic, state).squeeze(-1)
 
     def std(self) -> Tensor:
         """Standard deviation of the exploration noise, (num_actions,)."""

@@ -205,20 +205,15 @@ class PPO:
     def _step(self, batch: Minibatch, old_std: Tensor) -> dict[str, float]:
         """One step of the optimiser; losses, KL divergence and gradient norm."""
         self.optimizer.zero_grad(set_to_none=True)
-        totals = torch.zeros(3, device=old_std.device)
-        for part in batch.parts():
-            share = len(part.action) / len(batch.action)
-            loss, numbers = self._loss(part, old_std)
-            (share * loss).backward()
-            totals += share * numbers.detach()
-        surrogate, value_loss, kl = totals
-        found = self._descent.settle(surrogate_loss=surrogate, value_loss=value_loss, kl=kl)
+        loss, numbers = self._loss(batch, old_std)
+        loss.backward()
+        found = self._descent.settle(**numbers)
         self._adapt(found["kl"])
         self.optimizer.step()
         return found
 
-    def _loss(self, batch: Minibatch, old_std: Tensor) -> tuple[Tensor, Tensor]:
-        """The loss (), and surrogate, value loss and KL divergence (3,)."""
+    def _loss(self, batch: Minibatch, old_std: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss (), and what is to be known of it, () each."""
         config, model, rows = self.config, self.model, len(batch.action)
         if self.mirror is not None:
             batch = batch.with_mirror_image(self.mirror)
@@ -231,7 +226,7 @@ class PPO:
         for extra in (self._regulariser.penalty(value), *(hook.loss(batch) for hook in self.hooks)):
             if extra is not None:
                 loss = loss + extra
-        return loss, torch.stack((surrogate, value_loss, kl))
+        return loss, {"surrogate_loss": surrogate, "value_loss": value_loss, "kl": kl}
 
     def _adapt(self, kl: float) -> None:
         config = self.config

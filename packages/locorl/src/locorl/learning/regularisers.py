@@ -17,7 +17,7 @@ from locorl.learning.distributed import Processes
 from locorl.learning.gradient import Descent
 from locorl.learning.losses import gaussian_kl
 from locorl.learning.networks import ActorCritic
-from locorl.learning.storage import Rollout, evaluate_rows, rows_at_once, split_obs
+from locorl.learning.storage import Rollout, evaluate_rows
 
 
 class Regulariser(Protocol):
@@ -148,22 +148,15 @@ class PhasicPolicyGradient(NoRegulariser):
         config = self.config
         with torch.no_grad():
             old_mean, old_std = evaluate_rows(self.model.act, obs), self.model.std().clone()
-        count, at_once = config.policy_iterations * config.minibatches, rows_at_once(target.device)
+        count = config.policy_iterations * config.minibatches
         totals = torch.zeros(3)
         for _ in range(config.epochs):
             order = torch.randperm(len(target), generator=self.generator, device=target.device)
             for rows in order.tensor_split(count):
                 self.descent.optimizer.zero_grad(set_to_none=True)
                 batch = {group: values.index_select(0, rows) for group, values in obs.items()}
-                parts = zip(split_obs(batch, at_once), rows.split(at_once), strict=True)
-                losses = torch.zeros(3, device=target.device)
-                for part, own in parts:
-                    terms = self.losses(part, target[own], old_mean[own], old_std)
-                    share = len(own) / len(rows)
-                    auxiliary, clone, value = terms
-                    (share * (auxiliary + config.clone_weight * clone + config.value_weight * value)).backward()
-                    losses += share * torch.stack(terms).detach()
-                auxiliary, clone, value = losses
+                auxiliary, clone, value = self.losses(batch, target[rows], old_mean[rows], old_std)
+                (auxiliary + config.clone_weight * clone + config.value_weight * value).backward()
                 found = self.descent.settle(auxiliary_loss=auxiliary, clone_kl=clone, value_loss=value)
                 self.descent.optimizer.step()
                 totals += torch.tensor([found[name] for name in _TERMS])
