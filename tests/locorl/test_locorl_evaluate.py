@@ -30,7 +30,7 @@ from locorl import (
     repeat_design,
     sample_designs,
 )
-from locorl.commands.evaluate import Evaluate, obstacle_table, worst_table
+from locorl.commands.evaluate import Evaluate, course_notes, obstacle_table, worst_table
 from locorl.evaluation.evaluate import Course
 from locorl.evaluation.plots import bodies_figure, planes, save
 from locorl_box import BoxQuadruped, Space
@@ -339,6 +339,25 @@ def test_success_on_a_course_is_tabled_by_hip_heights():
     # by hand: the first is done with 4 of 4 m, the last with 5 of 8
     assert [row[5] for row in cells(worst_table(result, ("a", "b", "c", "d"), 4))][-1] == "2 of 2"
     assert str(worst_table(result, ("a", "b", "c", "d"), 4).title).endswith("on 3 of 4 a robot did not get through")
+
+
+def test_notes_tell_what_success_owes_to_the_protocol():
+    # 0.5 m/s for 10 s reach 5 m
+    length = np.array([[4.0, 6.0], [4.9, 4.0], [4.0, 4.0], [12.0, 4.0]])
+    course = Course(np.ones((4, 2)), np.ones((4, 2)), length)
+    succeeded = np.ones((4, 2), dtype=bool)
+    (note,) = course_notes(scored(course=course, succeeded=succeeded))
+    assert "2 of 8 robots had no time" in note
+    assert "--evaluation.seconds 29" in note  # 12 m at 0.5 m/s, and a fifth more
+    single = scored(
+        course=Course(*np.ones((3, 4, 1))),
+        command=np.full((4, 1), 0.5),
+        succeeded=succeeded[:, :1],
+        config=EvalConfig(),
+    )
+    (note,) = course_notes(single)
+    assert "one course of the middle level" in note
+    assert course_notes(replace(single, config=EvalConfig(level=3))) == []
 
 
 @pytest.mark.parametrize(("grid", "names"), [(None, None), (3, None), (None, ("a", "b", "c", "d"))])

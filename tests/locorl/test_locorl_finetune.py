@@ -202,6 +202,15 @@ def test_an_interrupted_choice_goes_on(factory, generalist, monkeypatch, tmp_pat
         finetune(generalist, factory, DESIGN, changed, seed=3, folder=tmp_path / "cut", threads=1)
 
 
+def test_a_longer_fine_tune_forgets_the_end_of_the_shorter(factory, generalist, tmp_path):
+    config = replace(CHOOSING, iterations=3, evaluate_every=2)
+    finetune(generalist, factory, DESIGN, config, seed=3, folder=tmp_path, threads=1)
+    longer = finetune(generalist, factory, DESIGN, replace(config, iterations=4), seed=3, folder=tmp_path, threads=1)
+    assert [candidate.iteration for candidate in longer.candidates] == [0, 2, 4]
+    whole = finetune(generalist, factory, DESIGN, replace(config, iterations=4), seed=3, threads=1)
+    assert same(longer.policy, whole.policy)
+
+
 def adam_steps(path: Path) -> set[float]:
     return {float(state["step"]) for state in checkpoint.load(path)["ppo"]["optimizer"]["state"].values()}
 

@@ -79,7 +79,8 @@ class Evaluate:
                 rich.print(worst_table(result, names, self.worst))
             if result.course is not None:
                 rich.print(obstacle_table(result))
-                _warn_of_long_courses(result)
+                for note in course_notes(result):
+                    rich.print(f"[yellow]note:[/yellow] {note}")
         if self.plot is not None:
             from locorl.evaluation.plots import bodies_figure, save
 
@@ -168,13 +169,19 @@ def obstacle_table(result: Evaluation) -> Table:
     return table
 
 
-def _warn_of_long_courses(result: Evaluation) -> None:
-    """A robot that keeps its commanded speed and still cannot be through in time has not failed at the obstacles."""
+def course_notes(result: Evaluation) -> list[str]:
+    """What success on a course may owe to the protocol: too little time at the commanded speed, a single level."""
     assert result.course is not None
-    needed = result.course.length / result.command
-    late = int((needed > result.config.seconds).sum())
+    config, needed = result.config, result.course.length / result.command
+    late = int((needed > config.seconds).sum())
+    notes = []
     if late:
-        rich.print(
-            f"[yellow]{late} of {needed.size} robots had no time to get through at their commanded speed:[/yellow] "
-            f"take --evaluation.seconds {math.ceil(1.2 * needed.max())} or more"
+        notes.append(
+            f"{late} of {needed.size} robots had no time to get through at their commanded speed: take "
+            f"--evaluation.seconds {math.ceil(1.2 * needed.max())}, or a higher --evaluation.vx"
         )
+    if config.level is None and config.robots_per_body == 1:
+        notes.append(
+            "every body met one course of the middle level: --evaluation.robots-per-body 10 spreads over the levels"
+        )
+    return notes

@@ -156,9 +156,9 @@ def finetune(
     if learner is not None and trainer.iteration == 0:
         _keep_optimizer(trainer, learner)
 
-    # what came after the last checkpoint will come again
+    # what came after the last checkpoint will come again, and the end of a smaller budget is none of this one's
     done = trainer.iteration
-    candidates = [candidate for candidate in candidates if candidate.iteration <= done] if done else []
+    candidates = [each for each in candidates if 0 < done >= each.iteration and config.judges(each.iteration)]
     curve: list[dict[str, float]] = []
     # the progress bar counts to the next evaluation
     title = f"fine-tune ({config.iterations} iterations)" if config.evaluate_every else "fine-tune"
