@@ -47,7 +47,7 @@ def stalled(candidates: Sequence[Candidate], patience: int) -> bool:
 
     A candidate is one if its mean return exceeds that of the last improvement (at first: of the first candidate) by
     more than a standard error of the difference, robot by robot: they share their random numbers. Slow progress
-    adds up to an improvement in the end; noise around one level rarely does.
+    adds up to an improvement in the end; one policy in six that is no better passes for one by chance.
     """
     if not candidates:
         return False
