@@ -311,6 +311,21 @@ def test_the_checkpoint_before_takes_over(factory, tiny, whole, tmp_path, capsys
     assert checkpoint.load(folder / "checkpoint.previous.pt")["iteration"] == 2
 
 
+def test_a_write_that_was_killed_leaves_nothing_for_ever(factory, tiny, tmp_path):
+    script = """
+import os, signal, sys, torch
+from pathlib import Path
+from locorl import checkpoint
+torch.save = lambda content, file: (file.write(b"half"), os.kill(os.getpid(), signal.SIGKILL))
+checkpoint.save(Path(sys.argv[1]) / "checkpoint.pt", {})
+"""
+    killed = subprocess.run([sys.executable, "-c", script, str(tmp_path)])
+    assert killed.returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 1
+    train(factory, replace(tiny, iterations=1), tmp_path)
+    assert all(not path.name.startswith(".") for path in tmp_path.iterdir())
+
+
 def test_two_damaged_checkpoints_are_named(factory, tiny, whole, tmp_path):
     for name in ("checkpoint.pt", "checkpoint.previous.pt"):
         (tmp_path / name).write_bytes((whole / "checkpoint.pt").read_bytes()[:1000])

@@ -13,6 +13,7 @@ from typing import IO, Any
 import torch
 
 FORMAT = 1
+_HALF = ".tmp"
 
 
 class CheckpointError(RuntimeError):
@@ -52,10 +53,16 @@ def previous(path: Path) -> Path:
     return path.with_suffix(f".previous{path.suffix}")
 
 
+def sweep(folder: Path) -> None:
+    """Remove what writes that were killed have left in `folder`; nobody may be writing there."""
+    for path in folder.glob(f".*{_HALF}"):
+        path.unlink(missing_ok=True)
+
+
 def _replace(path: Path, write: Callable[[IO[bytes]], object], keep: Path | None = None) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=_HALF)
     except OSError as error:
         raise CheckpointError(f"cannot write to {path.parent}: {error}; free space or choose another folder") from error
     try:

@@ -149,6 +149,7 @@ class Trainer:
         rows: list[dict[str, float]] = []
         log = None
         if folder:
+            checkpoint.sweep(folder)
             log = MetricsFile(folder / "metrics.jsonl", self.iteration)
             described = {"robot": self._card.robot, **to_dict(config)}
             checkpoint.write_text(folder / "config.json", json.dumps(described, indent=2) + "\n")
