@@ -13,6 +13,7 @@ import tyro
 from rich.table import Table
 
 from locorl.bodies.designs import sample_designs
+from locorl.commands.evaluate import check_plot
 from locorl.config import differences, to_dict
 from locorl.evaluation.compare import (
     Curve,
@@ -30,7 +31,6 @@ from locorl.evaluation.evaluate import EvalConfig, evaluate
 from locorl.evaluation.statistics import welch
 from locorl.interfaces import Array
 from locorl.learning.policy import Policy, load_policy
-from locorl.play.errors import missing_extra
 from locorl.providers import find_factory
 from locorl.tasks.task import TaskConfig
 
@@ -70,25 +70,20 @@ class Compare:
         trained = groups[0].trained
         if not trained and (self.evaluate or self.plot):
             raise ValueError("--evaluate and --plot need run folders, not evaluations")
-        if self.plot is not None:
-            self._draw(groups)
+        check_plot(self.plot)
         if trained and not self.evaluate:
             self._compare_training(groups)
         else:
             self._compare_evaluations(groups)
+        if self.plot is not None:
+            from locorl.evaluation.plots import curves_figure, save
+
+            curves = self._curves(groups)
+            save(curves_figure(curves, common_samples(list(curves.values())), self.metric), self.plot)
+            rich.print(f"learning curves -> {self.plot}")
 
     def _curves(self, groups: Sequence[Group]) -> dict[str, list[Curve]]:
         return {group.name: [read_curve(run, self.metric) for run in group.paths] for group in groups}
-
-    def _draw(self, groups: Sequence[Group]) -> None:
-        assert self.plot is not None
-        try:
-            from locorl.evaluation.plots import curves_figure, save
-        except ModuleNotFoundError as error:
-            raise missing_extra(error) from error
-        curves = self._curves(groups)
-        save(curves_figure(curves, common_samples(list(curves.values())), self.metric), self.plot)
-        rich.print(f"learning curves -> {self.plot}")
 
     def _compare_training(self, groups: Sequence[Group]) -> None:
         curves = self._curves(groups)

@@ -61,7 +61,7 @@ class Evaluate:
         """Evaluate and print."""
         factory, policy = find_factory(self.robot), load_policy(self.checkpoint)
         policy.check_space(factory.name, factory.space)
-        self._check_plot()
+        check_plot(self.plot)
         if self.design is not None:
             designs = np.asarray(self.design)[None]
         elif self.grid is not None:
@@ -88,15 +88,22 @@ class Evaluate:
             if not self.json:
                 rich.print(f"bodies -> {self.plot}")
 
-    def _check_plot(self) -> None:
-        """Refuse a picture that cannot be drawn before minutes of simulation."""
-        if self.plot is None:
-            return
-        try:
-            from locorl.evaluation.plots import check_path
-        except ModuleNotFoundError as error:
-            raise missing_extra(error) from error
-        check_path(self.plot)
+
+def check_plot(path: Path | None) -> None:
+    """Refuse a picture that cannot be drawn before minutes of simulation.
+
+    Raises:
+        PlayError: matplotlib is missing.
+        ValueError: `path` does not end in .png.
+        FileNotFoundError: its folder does not exist.
+    """
+    if path is None:
+        return
+    try:
+        from locorl.evaluation.plots import check_path
+    except ModuleNotFoundError as error:
+        raise missing_extra(error) from error
+    check_path(path)
 
 
 def to_json(result: Evaluation) -> dict[str, object]:

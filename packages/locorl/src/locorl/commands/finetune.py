@@ -12,11 +12,11 @@ import rich
 import tyro
 from rich.table import Table
 
+from locorl.commands.evaluate import check_plot
 from locorl.evaluation.evaluate import EvalConfig, evaluate
 from locorl.evaluation.fitness import MEASURES, Gain, gains
 from locorl.evaluation.statistics import Estimate, estimate
 from locorl.learning.policy import load_policy
-from locorl.play.errors import missing_extra
 from locorl.providers import find_factory
 from locorl.training.finetune import FinetuneConfig, Finetuned, finetune
 
@@ -49,6 +49,8 @@ class Finetune:
                 f"--config.choice.seed and --evaluation.seed are both {self.evaluation.seed}: what chose a policy "
                 "cannot report how good it is; take another seed for one of them"
             )
+        self.folder.mkdir(parents=True, exist_ok=True)
+        check_plot(self.plot)
         factory = find_factory(self.robot)
         design = np.asarray(self.design)
         tuned = finetune(self.checkpoint, factory, design, config, self.seed, self.folder, quiet=False)
@@ -63,17 +65,11 @@ class Finetune:
         rich.print(gains_table(gains(before, after)))
         _explain(tuned, config)
         if self.plot is not None:
-            self._draw(tuned)
-
-    def _draw(self, tuned: Finetuned) -> None:
-        assert self.plot is not None
-        try:
             from locorl.evaluation.plots import finetune_figure, save
-        except ModuleNotFoundError as error:
-            raise missing_extra(error) from error
-        judged = {candidate.iteration: estimate(candidate.returns) for candidate in tuned.candidates}
-        save(finetune_figure(tuned.curve, judged, tuned.iteration), self.plot)
-        rich.print(f"learning curve -> {self.plot}")
+
+            judged = {candidate.iteration: estimate(candidate.returns) for candidate in tuned.candidates}
+            save(finetune_figure(tuned.curve, judged, tuned.iteration), self.plot)
+            rich.print(f"learning curve -> {self.plot}")
 
 
 def _explain(tuned: Finetuned, config: FinetuneConfig) -> None:
