@@ -153,9 +153,8 @@ def main() -> None:
         rewards.append(found[:, -max(1, options.iterations // 10) :, 2].mean(axis=1))
         print(f"run {run}: learner {ratios[-1][0]:.3f}, iteration {ratios[-1][1]:.3f}", flush=True)
     samples = options.envs * PPOConfig().steps * options.iterations / 1e6
-    print(
-        f"\n{options.robot}, {options.task}: {options.envs} robots, {options.iterations} iterations, {samples:.1f} M samples"
-    )
+    print(f"\n{options.robot}, {options.task}, {options.envs} robots")
+    print(f"{options.iterations} iterations, {samples:.1f} M samples")
     print(f"ours / rsl_rl, median of {options.runs} runs:")
     for name, values, target in zip(("learner", "iteration"), zip(*ratios, strict=True), (0.8, 0.9), strict=True):
         print(f"  {name:10} {np.median(values):.3f} ({min(values):.3f} to {max(values):.3f}; target {target})")

@@ -10,6 +10,7 @@ import pytest
 import torch
 from locorl import PPO, ActorCritic, DivergedError, PPOConfig
 from locorl.learning.losses import clipped_surrogate, clipped_value_loss, gaussian_kl
+from locorl.learning.parallel import Backward
 from locorl.learning.storage import Minibatch, Rollout
 from locorl_target import DIMS, NETWORK, TargetEnv, make_ppo
 from torch.distributions import Independent, Normal, kl_divergence
@@ -104,6 +105,32 @@ def test_minibatches_visit_each_transition_once():
         check_columns(each)
     again = torch.cat([batch.value for batch in rollout.minibatches(4, generator)])
     assert not torch.equal(again, visited)
+
+
+@pytest.mark.parametrize("parts", [2, 3])
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_parts_of_a_minibatch_give_its_gradient(parts, mirrored):
+    ppo, env = make_ppo(mirror=Swap() if mirrored else None), TargetEnv()
+    ppo.collect(env, env.observe())
+    ppo.rollout.advantage = ppo.rollout.advantage + torch.randn(4, 32)
+    (batch,) = ppo.rollout.minibatches(1, torch.Generator())  # 128 rows: in three parts 43, 43 and 42
+    old_std, threads = torch.ones(2), torch.get_num_threads()
+    parameters = [*ppo.model.parameters(), torch.nn.Parameter(torch.ones(1))]  # the last one has no gradient
+
+    def gradient(count: int) -> tuple[list[torch.Tensor | None], dict[str, torch.Tensor]]:
+        with Backward(parameters, count) as backward:
+            numbers = backward(lambda part: ppo._loss(part, old_std), batch)
+        return [parameter.grad for parameter in parameters], numbers
+
+    (whole, numbers), (split, same), (again, _) = gradient(1), gradient(parts), gradient(parts)
+    assert whole[-1] is None
+    assert split[-1] is None
+    for a, b, c in zip(whole[:-1], split[:-1], again[:-1], strict=True):
+        torch.testing.assert_close(b, a, rtol=1e-4, atol=1e-6)
+        assert torch.equal(b, c)
+    for name, number in numbers.items():
+        torch.testing.assert_close(same[name], number.detach(), rtol=1e-4, atol=1e-6)
+    assert torch.get_num_threads() == threads
 
 
 def test_a_rollout_bootstraps_with_the_state_it_was_cut_in():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import torch
@@ -31,15 +32,15 @@ class _LinearELU(torch.autograd.Function):
         return inner @ weight if ctx.needs_input_grad[0] else None, inner.t() @ x, inner.sum(dim=0)
 
 
-def run(network: nn.Sequential, x: Tensor) -> Tensor:
-    """`network(x)` of x (..., dim); each `Linear` and the `ELU` behind it are one step."""
+def run(network: Iterable[nn.Module], x: Tensor) -> Tensor:
+    """The layers of `network` on x (..., dim), one after the other; each `Linear` and the `ELU` behind it are one step."""
     leading, x = x.shape[:-1], x.reshape(-1, x.shape[-1])
     layers = list(network)
     while layers:
         layer = layers.pop(0)
         if isinstance(layer, nn.Linear) and layers and isinstance(layers[0], nn.ELU):
             layers.pop(0)
-            x = _LinearELU.apply(x, layer.weight, layer.bias)  # pyright: ignore[reportAssignmentType]
+            x = _LinearELU.apply(x, layer.weight, layer.bias)
         else:
             x = layer(x)
     return x.view(*leading, -1)

@@ -17,6 +17,7 @@ from locorl.learning.gradient import Descent
 from locorl.learning.hooks import RolloutHook
 from locorl.learning.losses import clipped_surrogate, clipped_value_loss, gaussian_kl
 from locorl.learning.networks import ActorCritic, Obs
+from locorl.learning.parallel import Backward
 from locorl.learning.regularisers import make_regulariser
 from locorl.learning.stats import RolloutStats
 from locorl.learning.storage import Minibatch, Mirror, Rollout, evaluate_rows
@@ -191,23 +192,26 @@ class PPO:
         mean, std = mean_and_std(rollout.advantage, self.group)
         rollout.advantage = (rollout.advantage - mean) / (std + 1e-8)
         old_std = self.model.std().detach().clone()
-        rows = [
-            self._step(batch, old_std)
-            for _ in range(config.epochs)
-            for batch in rollout.minibatches(config.minibatches, self.generator)
-        ]
+        with self._backward() as backward:
+            rows = [
+                self._step(batch, old_std, backward)
+                for _ in range(config.epochs)
+                for batch in rollout.minibatches(config.minibatches, self.generator)
+            ]
         stats |= {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
         stats |= self._regulariser.after_update(rollout)
         stats |= {"action_std": float(self.model.std().detach().mean()), "learning_rate": self.learning_rate}
         self.iteration += 1
         return stats
 
-    def _step(self, batch: Minibatch, old_std: Tensor) -> dict[str, float]:
+    def _backward(self) -> Backward:
+        """How gradients are computed; hooks are not asked to stand several threads."""
+        parameters = self._descent.parameters
+        return Backward(parameters, 1) if self.hooks else Backward.on(self.model.log_std.device, parameters)
+
+    def _step(self, batch: Minibatch, old_std: Tensor, backward: Backward) -> dict[str, float]:
         """One step of the optimiser; losses, KL divergence and gradient norm."""
-        self.optimizer.zero_grad(set_to_none=True)
-        loss, numbers = self._loss(batch, old_std)
-        loss.backward()
-        found = self._descent.settle(**numbers)
+        found = self._descent.settle(**backward(lambda part: self._loss(part, old_std), batch))
         self._adapt(found["kl"])
         self.optimizer.step()
         return found
