@@ -185,6 +185,8 @@ def test_evaluations_of_different_bodies_or_protocols_are_refused(trained, capsy
         Compare(("a.json", "d.json")).run()
     with pytest.raises(ValueError, match="no measure 'grace'"):
         Compare(("a.json", "d.json"), measure="grace").run()
+    with pytest.raises(ValueError, match="on 2 of 2 bodies the measure is not finite"):  # nobody gets anywhere
+        Compare(("a.json", "d.json"), measure="cost_of_transport").run()
     (trained / "e.json").write_text("[]")
     with pytest.raises(ValueError, match="was not written by `locorl evaluate --json`"):
         Compare(("a.json", "e.json")).run()

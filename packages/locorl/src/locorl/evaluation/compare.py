@@ -146,12 +146,18 @@ class Scores:
     protocol: dict[str, object]
     samples: int | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse measures that some robots do not have, such as the cost of transport of one that got nowhere."""
+        lacking = int((~np.isfinite(self.values)).sum())
+        if lacking:
+            raise ValueError(f"on {lacking} of {len(self.values)} bodies the measure is not finite; compare returns")
+
 
 def read_scores(path: Path, measure: str) -> Scores:
     """An evaluation file.
 
     Raises:
-        ValueError: it is no evaluation, has no such measure, or holds bodies without a value.
+        ValueError: it is no evaluation, has no such measure, or one that is not finite everywhere.
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -162,8 +168,6 @@ def read_scores(path: Path, measure: str) -> Scores:
         raise ValueError(f"{path} has no measure '{measure}'; it has: {', '.join(rows[0])}")
     each = int(protocol["robots_per_body"])
     values = np.array([row[measure] for row in rows], dtype=np.float64).reshape(-1, each)
-    if not np.isfinite(values).all():
-        raise ValueError(f"{path}: '{measure}' is not finite for every robot (some got nowhere); compare returns")
     designs = np.array([row["design"] for row in rows[::each]], dtype=np.float64)
     return Scores(values.mean(axis=1), designs, protocol, content.get("samples"))
 
@@ -172,7 +176,7 @@ def scores_of(result: Evaluation, measure: str, samples: int, protocol: dict[str
     """A fresh evaluation in the same form.
 
     Raises:
-        ValueError: there is no such measure.
+        ValueError: there is no such measure, or it is not finite everywhere.
     """
     values = getattr(result, measure, None)
     if not isinstance(values, np.ndarray) or values.shape != result.command.shape:
