@@ -146,16 +146,17 @@ def main() -> None:
     ratios, shares, rewards = [], [], []
     for run in range(options.runs):
         found = measure(options, options.seed + run)
-        elapsed, simulation = found[:, WARM_UP:, :2].sum(axis=1).T
+        elapsed, simulation = found[:, WARM_UP:, 0], found[:, WARM_UP:, 1]
         learner = elapsed - simulation
-        ratios.append((learner[0] / learner[1], elapsed[0] / elapsed[1]))
-        shares.append((learner, simulation) / np.array(options.iterations - WARM_UP))
+        # of neighbours in time
+        ratios.append((np.median(learner[0] / learner[1]), np.median(elapsed[0] / elapsed[1])))
+        shares.append((np.median(learner, axis=1), np.median(simulation, axis=1)))
         rewards.append(found[:, -max(1, options.iterations // 10) :, 2].mean(axis=1))
         print(f"run {run}: learner {ratios[-1][0]:.3f}, iteration {ratios[-1][1]:.3f}", flush=True)
     samples = options.envs * PPOConfig().steps * options.iterations / 1e6
     print(f"\n{options.robot}, {options.task}, {options.envs} robots")
     print(f"{options.iterations} iterations, {samples:.1f} M samples")
-    print(f"ours / rsl_rl, median of {options.runs} runs:")
+    print(f"ours / rsl_rl, medians over pairs of iterations, and of {options.runs} runs:")
     for name, values, target in zip(("learner", "iteration"), zip(*ratios, strict=True), (0.8, 0.9), strict=True):
         print(f"  {name:10} {np.median(values):.3f} ({min(values):.3f} to {max(values):.3f}; target {target})")
     for name, learner, simulation in zip(NAMES, *np.mean(shares, axis=0), strict=True):

@@ -33,7 +33,7 @@ class _LinearELU(torch.autograd.Function):
 
 
 def run(network: Iterable[nn.Module], x: Tensor) -> Tensor:
-    """The layers of `network` on x (..., dim), one after the other; each `Linear` and the `ELU` behind it are one step."""
+    """The layers of `network` on x (..., dim), one after the other; a `Linear` and the `ELU` behind it in one."""
     leading, x = x.shape[:-1], x.reshape(-1, x.shape[-1])
     layers = list(network)
     while layers:
