@@ -23,8 +23,9 @@ Command = Train | Finetune | Evaluate | Compare | Play | Terrain
 
 def main() -> None:
     """Entry point of the `locorl` command."""
-    command: Command = tyro.cli(Command, description=__doc__)
+    command: Command | None = None
     try:
+        command = tyro.cli(Command, description=__doc__)
         command.run()
     except (CheckpointError, DivergedError, PlayError, LookupError, ValueError, OSError) as error:
         rich.get_console().print(f"[red]error:[/red] {escape(str(error))}", highlight=False)
