@@ -134,6 +134,13 @@ def test_layers_are_torchs_own_and_their_gradients_too():
         torch.testing.assert_close(a, b)
 
 
+@pytest.mark.parametrize("leading", [(), (0,), (4,), (2, 3)])
+def test_layers_keep_leading_dimensions(leading):
+    network = torch.nn.Sequential(torch.nn.Linear(3, 5), torch.nn.ELU(), torch.nn.Linear(5, 2))
+    x = torch.randn(*leading, 3)
+    torch.testing.assert_close(run(network, x), network(x))
+
+
 @pytest.mark.parametrize(
     "z", [0.0, 1e-6, -1e-6, 1e-3, -1e-3, -0.5, -30.0, 100.0, -1e4, 1e4, float("inf"), float("-inf")]
 )

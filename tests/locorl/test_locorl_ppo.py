@@ -152,6 +152,13 @@ def test_a_rollout_bootstraps_with_the_state_it_was_cut_in():
     assert stats["fall_rate"] == pytest.approx(1 / 16 / env.dt)
 
 
+def test_a_rollout_may_end_in_falls_alone():
+    ppo, env = make_ppo(PPOConfig(steps=2), num_envs=4), TargetEnv(4)
+    ppo.collect(env, env.observe())
+    assert ppo.rollout.done.nonzero().tolist() == ppo.rollout.terminated.nonzero().tolist() == [[1, 0]]
+    assert ppo.rollout.target.isfinite().all()
+
+
 def test_exploration_is_the_policys_gaussian():
     ppo, env = make_ppo(PPOConfig(steps=50), num_envs=64), TargetEnv(64)
     with torch.no_grad():

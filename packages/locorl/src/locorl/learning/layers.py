@@ -43,4 +43,4 @@ def run(network: Iterable[nn.Module], x: Tensor) -> Tensor:
             x = _LinearELU.apply(x, layer.weight, layer.bias)
         else:
             x = layer(x)
-    return x.view(*leading, -1)
+    return x.view(*leading, x.shape[-1])
