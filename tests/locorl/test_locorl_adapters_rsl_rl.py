@@ -178,6 +178,17 @@ def test_runner_logs_reward_terms_and_tracking_error(train, tmp_path):
     assert (tmp_path / "model_2.pt").is_file()
 
 
+@pytest.mark.parametrize("ppo", [PPOConfig(mirror=True), PPOConfig(regulariser="ppg")])
+def test_what_rsl_rl_lacks_is_refused(make_env, ppo):
+    with pytest.raises(ValueError, match="rsl_rl"):
+        rsl_rl_config(make_env(SHORT), ppo)
+
+
+def test_the_unregularised_discount_reaches_the_algorithm(make_env):
+    config = rsl_rl_config(make_env(SHORT), PPOConfig(regulariser="none", gamma=0.995))
+    assert config["algorithm"]["gamma"] == 0.995
+
+
 def test_configuration_reaches_the_algorithm(make_env):
     """Every hyperparameter of ours, none at its default."""
     env = make_env(SHORT)
@@ -194,8 +205,9 @@ def test_configuration_reaches_the_algorithm(make_env):
         desired_kl=0.02,
         max_grad_norm=0.7,
     )
-    changed = {f.name for f in fields(ppo) if getattr(ppo, f.name) != f.default}
-    assert changed == {f.name for f in fields(ppo)} - {"min_learning_rate", "max_learning_rate"}
+    changed = {f.name for f in fields(ppo) if getattr(ppo, f.name) != getattr(PPOConfig(), f.name)}
+    of_regularisers = {"regulariser", "gamma", "activation_weight", "v_max", "ppg", "mirror"}
+    assert changed == {f.name for f in fields(ppo)} - {"min_learning_rate", "max_learning_rate"} - of_regularisers
     network = NetworkConfig(actor=(16, 8), critic=(12,), initial_std=0.5, min_std=0.4)
     config = rsl_rl_config(env, ppo, network, actor=("proprio", "explicit"))
     alg = OnPolicyRunner(RslRlVecEnv(env), config).alg

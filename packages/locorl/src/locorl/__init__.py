@@ -17,7 +17,10 @@ from locorl.env.observation import ObservationConfig
 from locorl.env.randomisation import RandomisationConfig, no_randomisation
 from locorl.env.scan import ScanConfig
 from locorl.env.step_info import StepInfo
+from locorl.env.symmetry import Symmetry
 from locorl.evaluation.evaluate import EvalConfig, Evaluation, evaluate
+from locorl.learning.config import PPGConfig
+from locorl.learning.hooks import RolloutHook
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.learning.policy import Policy, PolicyCard, load_policy
 from locorl.learning.ppo import PPO, DivergedError, PPOConfig
@@ -51,16 +54,19 @@ __all__ = [
     "MorphologySampler",
     "NetworkConfig",
     "ObservationConfig",
+    "PPGConfig",
     "PPOConfig",
     "PhysicsConfig",
     "Policy",
     "PolicyCard",
     "RandomisationConfig",
     "RewardConfig",
+    "RolloutHook",
     "ScanConfig",
     "Simulator",
     "SimulatorConfig",
     "StepInfo",
+    "Symmetry",
     "TaskConfig",
     "TerrainConfig",
     "TerrainMap",

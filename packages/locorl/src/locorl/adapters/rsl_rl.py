@@ -118,10 +118,12 @@ def rsl_rl_config(
         save_interval: iterations between checkpoints.
 
     Raises:
-        ValueError: the environment has no such group.
+        ValueError: the environment has no such group, or rsl_rl lacks what `ppo` asks for.
     """
     env = env.env if isinstance(env, RslRlVecEnv) else env
     ppo, network = ppo or PPOConfig(), network or NetworkConfig()
+    if ppo.mirror or ppo.regulariser in ("activation", "ppg"):
+        raise ValueError("this configuration of rsl_rl has no mirror images, activation regulariser or ppg: drop them")
     known = list(env.group_dims)
     groups = {"actor": list(actor or known), "critic": list(critic or known)}
     unknown = {group for names in groups.values() for group in names if group not in known}
@@ -136,7 +138,7 @@ def rsl_rl_config(
             "num_learning_epochs": ppo.epochs,
             "num_mini_batches": ppo.minibatches,
             "clip_param": ppo.clip,
-            "gamma": ppo.gamma_reg,
+            "gamma": ppo.discount,
             "lam": ppo.lam,
             "value_loss_coef": ppo.value_weight,
             "entropy_coef": ppo.entropy,

@@ -74,7 +74,7 @@ class Policy:
 
     @property
     def actor(self) -> nn.Module:
-        """Maps [proprio, explicit, latent] to the mean action."""
+        """Maps [proprio, scan latent on tasks with a scan, explicit, latent] to the mean action."""
         return self.model.actor
 
     @property
