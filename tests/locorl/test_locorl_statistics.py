@@ -165,12 +165,15 @@ def test_success_is_binned_by_the_bodys_own_hip_height():
     assert result.summary()["commanded_distance"] == 8.0
 
 
-def test_wilsons_interval_against_scipy():
+def test_wilsons_interval():
     low, high = ObstacleBin(0, 1, robots=10, succeeded=8).interval
     assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)
     for k in (0, 3, 7):
         theirs = stats.binomtest(k, 7).proportion_ci(method="wilson")
         assert ObstacleBin(0, 1, 7, k).interval == pytest.approx((theirs.low, theirs.high), abs=1e-9)
+    # Wilson's definition: the rates from which the one seen is 1.96 standard deviations away
+    for rate in (low, high):
+        assert abs(0.8 - rate) == pytest.approx(1.959964 * math.sqrt(rate * (1.0 - rate) / 10), rel=1e-5)
 
 
 def test_level_ground_has_no_obstacles():

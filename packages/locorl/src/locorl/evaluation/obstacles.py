@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from locorl.evaluation.evaluate import Evaluation
-
-_Z = 1.959963984540054
-"""97.5 % quantile of the normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +33,11 @@ class ObstacleBin:
     @property
     def interval(self) -> tuple[float, float]:
         """Wilson's 95 % interval of the rate; it takes robots as independent, so let them have different bodies."""
-        n, rate = self.robots, self.rate
-        shrink = 1.0 + _Z**2 / n
-        middle = (rate + _Z**2 / (2 * n)) / shrink
-        half = _Z * math.sqrt(rate * (1.0 - rate) / n + _Z**2 / (4 * n**2)) / shrink
-        return middle - half, middle + half
+        # takes a second, which commands without courses need not wait for
+        from scipy.stats import binomtest
+
+        low, high = binomtest(self.succeeded, self.robots).proportion_ci(method="wilson")
+        return float(low), float(high)
 
 
 def success_by_obstacle(result: Evaluation, width: float = 0.25) -> list[ObstacleBin]:
