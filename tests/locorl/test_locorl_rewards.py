@@ -79,6 +79,8 @@ def state() -> StepState:
         heading_error=torch.tensor([-0.7]),
         gravity=row(2 / 7, 3 / 7, -6 / 7, width=3),
         edge_feet=row(1.0, 0.0, 1.0, 0.0, width=4),
+        foot_speed=row(1.0, 0.5, 0.25, 2.0, width=4),
+        foot_rise=row(0.015, 0.0, 0.06, 0.1, width=4),
         foot_force=torch.tensor([[[3.0, -4.0, 1.2], [0.0, 0.0, 50.0], [4.0, 0.0, -20.0], [0.0, 0.0, 0.0]]]),
     )
 
@@ -101,6 +103,7 @@ HAND = {  # the paper's equations with the numbers above
     "orientation": 13 / 49,  # (2/7)^2 + (3/7)^2
     "heading_tracking": math.exp(-0.7),
     "stumble": 1.0,  # 5 N sideways, 1.2 N up on the first foot
+    "low_swing": 1.0 * 0.75 + 0.5 * 1.0,  # 1.5 and 0 of the 6 cm; the other two are up
     "specific_power": 0.25,
 }
 
@@ -260,6 +263,8 @@ def any_state(seed: int, n: int) -> StepState:
         heading_error=normal(),
         gravity=unit(),
         edge_feet=(normal(4) > 1).float(),
+        foot_speed=normal(4).abs(),
+        foot_rise=normal(4, scale=0.1).abs(),
         foot_force=normal(4, 3, scale=10.0),
     )
 

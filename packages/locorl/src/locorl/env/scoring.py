@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,7 @@ from locorl.env.contacts import Contacts
 from locorl.env.embodiment import Embodiment
 from locorl.env.guidance import Guidance
 from locorl.env.state import Motion, Stateful
+from locorl.env.swing import Swing
 from locorl.rewards.config import RewardConfig
 from locorl.rewards.state import StepState
 from locorl.rewards.total import active_terms, total_reward
@@ -32,12 +35,25 @@ class Scoring(Stateful):
         self.config, self._sim, self._ground, self._dt = config, sim, ground, dt
         self._terms = active_terms(config)
         self.last_qd, self.last_torque = (torch.zeros(sim.num_envs, 12, device=sim.device) for _ in range(2))
+        self._swing = Swing(sim, dt) if "low_swing" in self._terms else None
         self._nothing = torch.zeros(1, 1, device=sim.device)
 
     def reset(self, ids: Tensor, qd: Tensor) -> None:
         """Robots `ids` (m,) start with joint velocities `qd` (m, 12), rad/s, and without torque."""
         self.last_qd[ids] = qd
         self.last_torque[ids] = 0.0
+        if self._swing is not None:
+            self._swing.reset(ids)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """See `Stateful`."""
+        return {**super().state_dict(), **({} if self._swing is None else self._swing.state_dict())}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """See `Stateful`."""
+        super().load_state_dict(state)
+        if self._swing is not None:
+            self._swing.load_state_dict(state)
 
     def reward(
         self,
@@ -59,6 +75,8 @@ class Scoring(Stateful):
             forces = contacts.foot_forces()
         if "heading_tracking" in self._terms:
             heading = guidance.heading_error(now)
+        if self._swing is not None:
+            self._swing.update(contacts.touching)
         torque = self._sim.torque.to(torch.float32, copy=True)
         state = StepState(
             velocity=now.velocity,
@@ -79,6 +97,8 @@ class Scoring(Stateful):
             heading_error=heading,
             gravity=now.gravity,
             edge_feet=edges,
+            foot_speed=self._nothing if self._swing is None else self._swing.speed,
+            foot_rise=self._nothing if self._swing is None else self._swing.rise,
             foot_force=forces,
         )
         result = total_reward(state, self.config, self._dt)

@@ -33,6 +33,8 @@ class RewardConfig:
     """Yaw towards the waypoint; not in Table I, in the authors' released code."""
     stumble: float = 0.0
     """A foot pushed sideways; not in Table I, in the authors' released code."""
+    low_swing: float = 0.0
+    """Feet that move low above the ground, shuffling or sliding (m/s). Ours."""
     specific_power: float = 0.0
     """Weight of positive mechanical power over body weight (m/s): cost of transport times speed. Ours."""
     kernel: Literal["gaussian", "l1"] = "gaussian"
@@ -47,6 +49,8 @@ class RewardConfig:
     """Air time beyond this earns no more, s; None, as in the paper, for no limit."""
     air_time_command: float = 0.1
     """Air time counts only beyond this commanded speed, m/s; 0 counts always, as the paper does."""
+    swing_height: float = 0.06
+    """Rise of a foot, m, at which its motion is no longer low."""
     normalise_goal_velocity: bool = False
     """Whether goal tracking is divided by the commanded speed, as in the authors' released code."""
     clip_at_zero: bool = True

@@ -33,6 +33,8 @@ class StepState:
         heading_error: yaw towards the goal minus the base's yaw, (N,), rad in [-pi, pi].
         gravity: unit vector of gravity, (N, 3); (0, 0, -1) on an upright base.
         edge_feet: feet in contact within 5 cm of an edge, (N, 4), 0 or 1.
+        foot_speed: horizontal speed of each foot, (N, 4), m/s.
+        foot_rise: height of each foot above where it last stood, (N, 4), m, at least 0.
         foot_force: net contact force on each foot, world frame, (N, 4, 3), N; zeros without force sensors.
     """
 
@@ -54,4 +56,6 @@ class StepState:
     heading_error: Tensor
     gravity: Tensor
     edge_feet: Tensor
+    foot_speed: Tensor
+    foot_rise: Tensor
     foot_force: Tensor

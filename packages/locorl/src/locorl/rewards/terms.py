@@ -150,6 +150,16 @@ def stumble(state: StepState, _: RewardConfig) -> Tensor:
     return (sideways > 4.0 * state.foot_force[..., 2].abs()).any(dim=1).to(sideways.dtype)
 
 
+def low_swing(state: StepState, config: RewardConfig) -> Tensor:
+    """Low swing: sum over feet of horizontal speed x how much of the swing height is missing, m/s. Ours.
+
+    A foot that slides counts its whole speed, one that swings higher than `swing_height` nothing: air time alone
+    teaches feet to skim the ground.
+    """
+    missing = (1.0 - state.foot_rise / config.swing_height).clamp_(min=0.0)
+    return (state.foot_speed * missing).sum(dim=1)
+
+
 def specific_power(state: StepState, _: RewardConfig) -> Tensor:
     """Positive mechanical power over body weight, m/s: cost of transport times speed. Ours."""
     return state.specific_power
@@ -175,6 +185,7 @@ TERMS: Mapping[str, Term] = {
         orientation,
         heading_tracking,
         stumble,
+        low_swing,
         specific_power,
     )
 }
