@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from codesign_bo import EvalRequest, EvalResult
 from locorl import CheckpointError, Evaluation, Policy, evaluate, finetune
-from locorl.interfaces import BodyFactory
+from locorl.interfaces import Array, BodyFactory
 
 from legged_codesign.config import RunConfig
 from legged_codesign.objective import evaluation_config, robot_scores
@@ -20,9 +20,10 @@ from legged_codesign.stages import write_text
 class FineTuneAndScore:
     """The callback of the search (Algorithm 2, lines 2 to 8).
 
-    Fine-tunes for the stated budget and scores both the result and the generalist on the same starts; the
-    better one is the body's policy, so that a fine-tune never makes a body worse. Writes `policy.pt` and
-    `result.json` into the request's folder; a request that was already answered there is not done again.
+    Fine-tunes for the stated budget. The better of the result and the generalist is the body's policy, so that a
+    fine-tune never makes a body worse; it is chosen on starts of its own, as the better of two noisy scores is too
+    good on average. Writes `policy.pt` and `result.json` into the request's folder; a request that was already
+    answered there is not done again.
     """
 
     factory: BodyFactory
@@ -37,22 +38,26 @@ class FineTuneAndScore:
         config = self.config
         design = np.array([request.params[name] for name in self.factory.space.names])
         tuned = finetune(self.generalist, self.factory, design, config.finetune, request.seed)
-        protocol = evaluation_config(config.score, request.seed)
         candidates = {"generalist": self.generalist, "fine-tuned": tuned.policy}
         task = tuned.policy.card.task
-        results = {
-            name: evaluate(policy, self.factory, design[None], task, protocol) for name, policy in candidates.items()
-        }
-        scores = {name: robot_scores(results[name], config.objective, config.score)[0] for name in candidates}
-        chosen = max(scores, key=lambda name: float(scores[name].mean()))
+
+        def score(name: str, seed: int) -> tuple[Evaluation, Array]:
+            protocol = evaluation_config(config.score, seed)
+            result = evaluate(candidates[name], self.factory, design[None], task, protocol)
+            return result, robot_scores(result, config.objective, config.score)[0]
+
+        other_starts = int(np.random.SeedSequence((request.seed, 1)).generate_state(1)[0])
+        chosen = max(candidates, key=lambda name: float(score(name, other_starts)[1].mean()))
+        judged = {name: score(name, request.seed) for name in candidates}
+        evaluation, scores = judged[chosen]
         result = EvalResult(
-            mean=float(scores[chosen].mean()),
-            sem=float(scores[chosen].std(ddof=1) / np.sqrt(len(scores[chosen]))),
-            n=len(scores[chosen]),
+            mean=float(scores.mean()),
+            sem=float(scores.std(ddof=1) / np.sqrt(len(scores))),
+            n=len(scores),
             extras={
-                **facts(results[chosen]),
-                "score_generalist": float(scores["generalist"].mean()),
-                "score_fine_tuned": float(scores["fine-tuned"].mean()),
+                **facts(evaluation),
+                "score_generalist": float(judged["generalist"][1].mean()),
+                "score_fine_tuned": float(judged["fine-tuned"][1].mean()),
                 "fine_tuned": float(chosen == "fine-tuned"),
             },
             curve=tuple((row["samples"], row["reward"]) for row in tuned.curve),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import timedelta
+from typing import Any
 
 import torch
 import torch.distributed as dist
@@ -76,6 +77,18 @@ class Processes:
         with torch.no_grad():
             for tensor in tensors:
                 dist.broadcast(tensor, src=0)
+
+    def all(self, values: Tensor) -> Tensor:
+        """The rows (n, ...) of every process in order, (size * n, ...)."""
+        parts = [torch.empty_like(values) for _ in range(self.size)]
+        dist.all_gather(parts, values.contiguous())
+        return torch.cat(parts)
+
+    def collect(self, content: Any) -> list[Any]:
+        """What each process has, in order, at the first process; nothing at the others."""
+        everyone: list[Any] | None = [None] * self.size if self.first else None
+        dist.gather_object(content, everyone, dst=0)
+        return everyone or []
 
     def close(self) -> None:
         """Leave; a process that ends without it is missed by the others."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
-import torch.distributed as dist
 from torch import Tensor
 
 from locorl.learning.distributed import Processes
@@ -41,16 +39,8 @@ class Share:
 
     def all(self, values: Tensor) -> Tensor:
         """The values (n, ...) of this process's robots together with those of the others, (N, ...)."""
-        if self.group is None:
-            return values
-        parts = [torch.empty_like(values) for _ in range(self.size)]
-        dist.all_gather(parts, values.contiguous())
-        return torch.cat(parts)
+        return values if self.group is None else self.group.all(values)
 
     def collect(self, content: Any) -> list[Any]:
         """What each process has, in order, at the first process; nothing at the others."""
-        if self.group is None:
-            return [content]
-        everyone: list[Any] | None = [None] * self.size if self.first else None
-        dist.gather_object(content, everyone, dst=0)
-        return everyone or []
+        return [content] if self.group is None else self.group.collect(content)
