@@ -12,6 +12,7 @@ from pathlib import Path
 import yaml
 
 from legged_codesign.choice import Choice
+from legged_codesign.provenance import described
 from legged_codesign.run_folder import read_config
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -33,11 +34,7 @@ def main() -> None:
         "",
         choice.sentence(config.objective) + ".",
         "",
-        f"- command: `{command}`",
-        f"- seed: {config.seed}",
-        f"- commit: {machine.get('commit', 'unknown')}",
-        f"- machine: {machine['processor']}, {machine['cores']} cores, {machine['system']}",
-        f"- versions: Python {machine['python']}, torch {machine['torch']}, MuJoCo {machine['mujoco']}",
+        *described(command, config.seed, machine),
         "",
         "`trials.json` is the trial table, `choice.json` the comparison on fresh seeds, `rollout.json` the run of the",
         "student, `comparison.json` student and teacher on the same starts, `metrics.jsonl` the seconds of each stage.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -32,6 +33,24 @@ def provenance() -> dict[str, str]:
             continue
     commit = current_commit()
     return facts | ({"commit": commit} if commit else {})
+
+
+def described(command: str, seed: object, facts: Mapping[str, str] | None = None) -> tuple[str, ...]:
+    """Markdown lines that tell how a result was made.
+
+    Args:
+        command: makes it again.
+        seed: or seeds.
+        facts: of the machine that made it; by default this one's.
+    """
+    facts = facts or provenance()
+    return (
+        f"- command: `{command}`",
+        f"- seed: {seed}",
+        f"- commit: {facts.get('commit', 'unknown')}",
+        f"- machine: {facts['processor']}, {facts['cores']} cores, {facts['system']}",
+        f"- versions: Python {facts['python']}, torch {facts['torch']}, MuJoCo {facts['mujoco']}",
+    )
 
 
 def current_commit() -> str | None:

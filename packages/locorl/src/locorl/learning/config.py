@@ -57,7 +57,7 @@ class PPOConfig:
     """Minibatches in a pass."""
     clip: float = 0.2
     """Clipping of the likelihood ratio and of the value step."""
-    entropy: float = 0.005
+    entropy: float = 0.002
     """Weight of the entropy bonus."""
     value_weight: float = 1.0
     """Weight of the value loss."""

@@ -33,7 +33,7 @@ class RewardConfig:
     """Yaw towards the waypoint; not in Table I, in the authors' released code."""
     stumble: float = 0.0
     """A foot pushed sideways; not in Table I, in the authors' released code."""
-    low_swing: float = 0.0
+    low_swing: float = -0.1
     """Feet that move low above the ground, shuffling or sliding (m/s). Ours."""
     specific_power: float = 0.0
     """Weight of positive mechanical power over body weight (m/s): cost of transport times speed. Ours."""
@@ -86,6 +86,7 @@ def table_i(task: Literal["locomotion", "parkour"] = "locomotion") -> RewardConf
             air_time_offset=0.5,
             air_time_cap=None,
             air_time_command=0.0,
+            low_swing=0.0,
             clip_at_zero=False,
         )
     if task == "parkour":

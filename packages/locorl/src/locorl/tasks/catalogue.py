@@ -26,6 +26,7 @@ _TERRAINS: Mapping[str, tuple[str, ...]] = {
     "locomotion-steps": ("steps_up", "steps_down"),
     "locomotion-hills": ("hills",),
     "locomotion-slope": ("slope_up", "slope_down"),
+    "locomotion-rough": ("hills", "steps_up", "steps_down", "slope_up", "slope_down"),
     "parkour-highjump": ("hurdles", "platforms"),
     "parkour-longjump": ("long_jump",),
     "parkour-stones": ("tilted_stones",),
