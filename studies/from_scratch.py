@@ -90,7 +90,7 @@ EIGHT_CENTIMETRES = (0.08 - 0.05) / 0.18
 STUDIES: Mapping[str, Study] = {
     "go2-flat": Study(
         robot="go2",
-        config=TrainConfig(iterations=222, ppo=MIRRORED),
+        config=TrainConfig(iterations=160, ppo=MIRRORED),
         protocols={"walking": Protocol(as_it_is, EvalConfig(seed=EVALUATION_SEED))},
         every=20,
         survival=0.99,

@@ -46,7 +46,7 @@ def test_shapes_and_groups(make_env):
     assert reward.shape == terminated.shape == truncated.shape == info.positive_work.shape == (8,)
     assert terminated.dtype == truncated.dtype == torch.bool
     assert info.velocity.shape == info.position.shape == (8, 3)
-    assert set(info.reward_terms) == set(active_terms(env.task.reward))
+    assert set(info.reward_terms) == {*active_terms(env.task.reward), "fall"}
 
 
 def test_columns_hold_what_their_names_say(factory, designs, make_env):
@@ -148,6 +148,21 @@ def test_tilt_ends_an_episode(make_env, degrees, ends):
     assert terminated.tolist() == [False, False, ends, *[False] * 5]
     assert not truncated.any()
     assert (env.sim.qpos[2, 3] == 1.0) == ends  # upright again
+
+
+def test_a_fall_is_paid_once_and_not_clipped(make_env):
+    rewards = []
+    for fall in (0.0, -3.0):
+        env = make_env(replace(QUIET, reward=RewardConfig(fall=fall)))
+        env.reset(seed=0)
+        env.sim.qpos[2, 2] = 1.0
+        env.sim.qpos[2, 3:7] = torch.tensor([0.0, 1.0, 0.0, 0.0])  # on its back
+        _, reward, terminated, _, info = env.step(torch.zeros(8, 12))
+        assert terminated.tolist() == [False, False, True, *[False] * 5]
+        rewards.append(reward)
+    assert info.reward_terms["fall"].item() == pytest.approx(-3.0 / 8)
+    torch.testing.assert_close(rewards[1] - rewards[0], torch.tensor([0.0, 0.0, -3.0, *[0.0] * 5]))
+    assert not env.step(torch.zeros(8, 12))[4].reward_terms["fall"].any()
 
 
 def test_a_low_base_ends_an_episode(make_env):

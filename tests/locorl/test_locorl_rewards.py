@@ -103,6 +103,7 @@ HAND = {  # the paper's equations with the numbers above
     "orientation": 13 / 49,  # (2/7)^2 + (3/7)^2
     "heading_tracking": math.exp(-0.7),
     "stumble": 1.0,  # 5 N sideways, 1.2 N up on the first foot
+    "progress": (0.5 * 0.8 - 0.1 * 0.1) / math.hypot(0.8, 0.1),
     "low_swing": 1.0 * 0.75 + 0.5 * 1.0,  # 1.5 and 0 of the 6 cm; the other two are up
     "specific_power": 0.25,
 }
@@ -225,6 +226,14 @@ def test_a_weight_of_zero_leaves_the_term_out(state):
     _, parts = total_reward(state, RewardConfig(torque_penalty=0.0), dt=0.02)
     assert "torque_penalty" not in parts
     assert "torque_rate" in parts
+
+
+def test_progress_pays_up_to_the_commanded_speed_and_nothing_for_standing_still(state):
+    still = replace(state, command=row(width=3))
+    fast = replace(state, velocity=row(2.0, 0.3, width=3))
+    back = replace(state, velocity=row(-0.8, -0.1, width=3))
+    earned = [TERMS["progress"](each, table_i()).item() for each in (still, fast, back)]
+    assert earned == pytest.approx([0.0, math.hypot(0.8, 0.1), -math.hypot(0.8, 0.1)])
 
 
 # ------------------------------------------------------------- for any state

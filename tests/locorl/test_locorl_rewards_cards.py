@@ -1,4 +1,4 @@
-"""Policy cards: those of format 1, with the reward terms' earlier names, are still read."""
+"""Policy cards: those of earlier formats, with other names and fewer reward terms, are still read."""
 
 from __future__ import annotations
 
@@ -54,6 +54,10 @@ MEANT = RewardConfig(
     air_time_offset=0.1,
     air_time_cap=0.6,
     clip_at_zero=False,
+    # terms that came later earned nothing then
+    progress=0.0,
+    low_swing=0.0,
+    fall=0.0,
 )
 
 
@@ -87,8 +91,14 @@ def test_a_card_of_format_1_keeps_the_meaning_of_every_weight(tmp_path):
     assert all(torch.equal(old["model"][name], value) for name, value in policy.model.state_dict().items())
 
     policy.save(tmp_path / "new.pt")
-    assert checkpoint.load(tmp_path / "new.pt")["card_format"] == 2
+    assert checkpoint.load(tmp_path / "new.pt")["card_format"] == 3
     assert load_policy(tmp_path / "new.pt").card == policy.card
+
+
+def test_a_card_of_format_2_earned_nothing_by_terms_that_came_later(tmp_path):
+    names = {"feet_air_time": 4.0, "specific_power": -2.0}
+    reward = load_policy(saved(tmp_path / "old.pt", content(names, card_format=2))).card.task.reward
+    assert reward == RewardConfig(**names, progress=0.0, low_swing=0.0, fall=0.0)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +106,8 @@ def test_a_card_of_format_1_keeps_the_meaning_of_every_weight(tmp_path):
     [
         (content({"bonus": 1.0}), r"RewardConfig has no field \['bonus'\]"),
         (content({"torque": -1e-5}, card_format=2), r"RewardConfig has no field \['torque'\]"),
-        (content({}, card_format=3), r"card has format 3, this version reads up to 2; update locorl"),
+        (content({"torque": -1e-5}, card_format=3), r"RewardConfig has no field \['torque'\]"),
+        (content({}, card_format=4), r"card has format 4, this version reads up to 3; update locorl"),
     ],
 )
 def test_other_cards_are_refused(tmp_path, policy, complaint):

@@ -72,7 +72,7 @@ def test_a_standing_robot_stays_on_its_feet(factory, designs, name, preset):
         group: (8, size) for group, size in env.group_dims.items()
     }
     assert all(values.isfinite().all() for values in obs.values())
-    assert set(info.reward_terms) <= set(TERMS)
+    assert set(info.reward_terms) <= {*TERMS, "fall"}
     assert (env.sim.qpos[:, :2] - start).norm(dim=1).max() < 0.1
     above = env.sim.qpos[:, 2] - env.terrain.heights.at(env.sim.qpos[:, :2].float())
     np.testing.assert_allclose(above, env.stance_qpos[:, 2], atol=0.06)

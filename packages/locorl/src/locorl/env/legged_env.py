@@ -221,6 +221,9 @@ class LeggedEnv:
         speed, error = self.progress.add(now, direction, diverged)
         success = self.guidance.reach(now)
         terminated = self._fallen(now) | diverged
+        if task.reward.fall != 0.0:
+            terms["fall"] = task.reward.fall * terminated
+            reward = reward + terms["fall"]
         reward = torch.where(diverged, torch.zeros_like(reward), reward)
         truncated = ~terminated & ((self.episode_step >= task.episode_steps) | success)
         self.failures.add(diverged)

@@ -23,24 +23,28 @@ class Swing(Stateful):
         rise: above where the foot last touched something, (N, 4), m, at least 0.
     """
 
-    _state = ("_place", "_floor")
+    _state = ("_place", "_floor", "_seen", "_stood")
 
     def __init__(self, sim: Simulator, dt: float) -> None:
         self._sim, self._dt = sim, dt
-        self._place = torch.full((sim.num_envs, 4, 2), torch.nan, device=sim.device)
-        self._floor = torch.full((sim.num_envs, 4), torch.nan, device=sim.device)
-        self.speed, self.rise = (torch.zeros(sim.num_envs, 4, device=sim.device) for _ in range(2))
+        n, device = sim.num_envs, sim.device
+        self._place = torch.zeros(n, 4, 2, device=device)
+        self._floor, self.speed, self.rise = (torch.zeros(n, 4, device=device) for _ in range(3))
+        self._seen = torch.zeros(n, 1, dtype=torch.bool, device=device)
+        self._stood = torch.zeros(n, 4, dtype=torch.bool, device=device)
 
     def update(self, touching: Tensor) -> None:
         """Take in the control step that the simulator has just made; `touching` (N, 4) are the feet that stand."""
         feet = self._sim.foot_position.float()
-        place, height = feet[..., :2], feet[..., 2]
-        self.speed = torch.linalg.vector_norm(place - self._place, dim=2).div_(self._dt).nan_to_num_(nan=0.0)
+        place, height = feet[..., :2].clone(), feet[..., 2]
+        self.speed = torch.linalg.vector_norm(place - self._place, dim=2).div_(self._dt).mul_(self._seen)
+        self._stood |= touching
         self._floor = torch.where(touching, height, self._floor)
-        self.rise = (height - self._floor).nan_to_num_(nan=0.0).clamp_(min=0.0)
-        self._place = place.clone()
+        self.rise = (height - self._floor).clamp_(min=0.0).mul_(self._stood)
+        self._place = place
+        self._seen.fill_(True)
 
     def reset(self, ids: Tensor) -> None:
         """Robots `ids` stand elsewhere now."""
-        self._place[ids] = torch.nan
-        self._floor[ids] = torch.nan
+        self._seen[ids] = False
+        self._stood[ids] = False

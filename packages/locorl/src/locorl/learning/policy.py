@@ -16,8 +16,9 @@ from locorl.interfaces import DesignSpace
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.tasks.task import TaskConfig
 
-CARD_FORMAT = 2
-"""Format of the cards that this version writes; it reads format 1 too, which named reward terms otherwise."""
+CARD_FORMAT = 3
+"""Format of the cards that this version writes; it reads format 1 too, which named reward terms otherwise, and
+format 2, which lacks some."""
 
 _TERMS_RENAMED = {
     "linear_velocity": "linear_velocity_tracking",
@@ -29,6 +30,7 @@ _TERMS_RENAMED = {
     "torque": "torque_penalty",
     "air_time": "feet_air_time",
 }
+_TERMS_SINCE_FORMAT_3 = ("progress", "low_swing", "fall")
 
 
 @dataclass(frozen=True)
@@ -148,5 +150,8 @@ def _current_card(content: Mapping[str, Any]) -> Mapping[str, Any]:
         raise ValueError(f"its card has format {card_format}, this version reads up to {CARD_FORMAT}; update locorl")
     if card_format == CARD_FORMAT:
         return card
-    reward = {_TERMS_RENAMED.get(name, name): value for name, value in dict(card["task"]["reward"]).items()}
+    reward = dict(card["task"]["reward"])
+    if card_format == 1:
+        reward = {_TERMS_RENAMED.get(name, name): value for name, value in reward.items()}
+    reward = {**dict.fromkeys(_TERMS_SINCE_FORMAT_3, 0.0), **reward}
     return {**card, "task": {**card["task"], "reward": reward}}

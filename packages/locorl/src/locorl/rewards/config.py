@@ -33,10 +33,16 @@ class RewardConfig:
     """Yaw towards the waypoint; not in Table I, in the authors' released code."""
     stumble: float = 0.0
     """A foot pushed sideways; not in Table I, in the authors' released code."""
+    progress: float = 1.0
+    """Velocity along the commanded direction, up to the commanded speed (m/s): far from a fast command, where the
+    tracking kernels are flat, it still says which way to go. Ours."""
     low_swing: float = -0.1
     """Feet that move low above the ground, shuffling or sliding (m/s). Ours."""
     specific_power: float = 0.0
     """Weight of positive mechanical power over body weight (m/s): cost of transport times speed. Ours."""
+    fall: float = -1.0
+    """Paid once when a robot falls, not per second, and never clipped. Without it, leaning into a fast command and
+    falling earns more within the discount's horizon than standing, and training dwells there. Ours."""
     kernel: Literal["gaussian", "l1"] = "gaussian"
     """Velocity tracking: exp(-|e|^2/s) with s below, or the paper's exp(-|e|_1)."""
     linear_scale: float = 0.15
@@ -86,7 +92,9 @@ def table_i(task: Literal["locomotion", "parkour"] = "locomotion") -> RewardConf
             air_time_offset=0.5,
             air_time_cap=None,
             air_time_command=0.0,
+            progress=0.0,
             low_swing=0.0,
+            fall=0.0,
             clip_at_zero=False,
         )
     if task == "parkour":

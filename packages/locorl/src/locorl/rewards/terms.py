@@ -150,6 +150,14 @@ def stumble(state: StepState, _: RewardConfig) -> Tensor:
     return (sideways > 4.0 * state.foot_force[..., 2].abs()).any(dim=1).to(sideways.dtype)
 
 
+def progress(state: StepState, _: RewardConfig) -> Tensor:
+    """Progress: min(<v_xy, v_cmd> / |v_cmd|, |v_cmd|), velocity in the commanded direction, m/s. Ours."""
+    command = state.command[:, :2]
+    speed = torch.linalg.vector_norm(command, dim=1)
+    along = torch.linalg.vecdot(state.velocity[:, :2], command) / speed.clamp(min=1e-6)
+    return torch.minimum(along, speed)
+
+
 def low_swing(state: StepState, config: RewardConfig) -> Tensor:
     """Low swing: sum over feet of horizontal speed x how much of the swing height is missing, m/s. Ours.
 
@@ -185,6 +193,7 @@ TERMS: Mapping[str, Term] = {
         orientation,
         heading_tracking,
         stumble,
+        progress,
         low_swing,
         specific_power,
     )
