@@ -148,7 +148,7 @@ def train(study: Study, factory: BodyFactory, folder: Path, seed: int) -> dict[s
     """One training, or the rest of one, and the evaluation of its snapshots."""
     config = replace(study.config, seed=seed)
     snapshots = Snapshots(folder, study.every)
-    rate = bare_rate(factory, config)
+    rate = rate_beside(folder, factory, config)
     Trainer(factory, config, folder).run(f"{folder.parent.name}, seed {seed}", watchers=[snapshots])
     metrics = {int(row["iteration"]): row for row in read_metrics(folder / "metrics.jsonl")}
     minutes = np.cumsum([row["seconds"] for row in metrics.values()]) / 60.0
@@ -170,6 +170,15 @@ def train(study: Study, factory: BodyFactory, folder: Path, seed: int) -> dict[s
         "last": {name: to_json(each) for name, each in last.items()},
     }
     return {"facts": facts, "last": last}
+
+
+def rate_beside(folder: Path, factory: BodyFactory, config: TrainConfig) -> float:
+    """The machine's bare rate just before the training of `folder` began, control steps per second."""
+    path = folder / "bare_rate.txt"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"{bare_rate(factory, config):.0f}\n", encoding="utf-8")
+    return float(path.read_text(encoding="utf-8"))
 
 
 COLUMNS = (
