@@ -20,9 +20,9 @@ class PhysicsConfig:
     """Physics step, s."""
     substeps: int = 2
     """Physics steps in one control step."""
-    solver_iterations: int = 4
-    """Newton iterations of the constraint solver."""
-    linesearch_iterations: int = 8
+    solver_iterations: int = 10
+    """Newton iterations of the constraint solver at most; with 4, violent actions throw some robots into the air."""
+    linesearch_iterations: int = 20
     """Line-search iterations within one Newton iteration."""
     elliptic_cone: bool = True
     """Elliptic friction cones; pyramidal ones are some 20 % faster and slightly anisotropic."""

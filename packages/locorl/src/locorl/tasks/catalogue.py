@@ -35,7 +35,7 @@ _TERRAINS: Mapping[str, tuple[str, ...]] = {
 TASKS = tuple(_TERRAINS)
 """Names of the tasks."""
 
-_PAPER_PHYSICS = PhysicsConfig(timestep=0.005, substeps=4, solver_iterations=10, linesearch_iterations=20)
+_PAPER_PHYSICS = PhysicsConfig(timestep=0.005, substeps=4)
 _PAPER_RANDOMISATION = RandomisationConfig(
     friction=(0.6, 2.0),
     joint_damping=(1.0, 1.0),
