@@ -164,7 +164,7 @@ def test_a_course_counts_until_its_last_waypoint(factory, designs):
     result = evaluate(Sprawler(), factory, designs, task, protocol, threads=1)
 
     quiet = replace(no_randomisation(), reset_joint=0.05, reset_yaw=np.pi)
-    command = CommandConfig(PROTOCOL.vx, (0, 0), (-1, 1), hold=99, standing=0)
+    command = replace(task.command, vx=PROTOCOL.vx, hold=99, standing=0)
     twin = replace(task, command=command, randomisation=quiet, episode_seconds=9.0)
     env = LeggedEnv(factory, np.repeat(designs, 2, axis=0), twin, seed=7, threads=1)
     actor = Sprawler()

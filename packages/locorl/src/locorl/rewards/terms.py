@@ -152,9 +152,9 @@ def stumble(state: StepState, _: RewardConfig) -> Tensor:
 
 def progress(state: StepState, _: RewardConfig) -> Tensor:
     """Progress: min(<v_xy, v_cmd> / |v_cmd|, |v_cmd|), velocity in the commanded direction, m/s. Ours."""
-    command = state.command[:, :2]
-    speed = torch.linalg.vector_norm(command, dim=1)
-    along = torch.linalg.vecdot(state.velocity[:, :2], command) / speed.clamp(min=1e-6)
+    (x, y, _), (ahead, aside, _) = state.velocity.unbind(1), state.command.unbind(1)
+    speed = _square_xy(state.command).sqrt()
+    along = (x * ahead + y * aside) / speed.clamp(min=1e-6)
     return torch.minimum(along, speed)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from functools import lru_cache
+from functools import lru_cache, reduce
 
 import torch
 from torch import Tensor
@@ -32,7 +32,8 @@ def total_reward(state: StepState, config: RewardConfig, dt: float) -> tuple[Ten
     """
     names, weights = _weights(config, dt, state.velocity.dtype, state.velocity.device)
     shares = torch.stack([TERMS[name](state, config) for name in names]).mul_(weights)
-    reward = shares.sum(dim=0)
+    # one after the other: the order of `sum` depends on the number of robots
+    reward = reduce(torch.add, shares.unbind())
     if config.clip_at_zero:
         reward.clamp_(min=0.0)
     return reward, dict(zip(names, shares.unbind(), strict=True))
