@@ -341,3 +341,9 @@ def test_heading_tracking_is_the_same_to_either_side(error):
     state = replace(any_state(0, 2), heading_error=torch.tensor([error, -error]))
     left, right = TERMS["heading_tracking"](state, released_code()).tolist()
     assert left == right == pytest.approx(math.exp(-abs(error)), rel=1e-5)
+
+
+def test_clipping_leaves_the_share_of_a_single_term_alone(state):
+    only = RewardConfig(**dict.fromkeys(active_terms(RewardConfig()), 0.0) | {"torque_penalty": -1.0})
+    reward, shares = total_reward(state, only, dt=1.0)
+    assert (reward.item(), shares["torque_penalty"].item()) == (0.0, -26.0)

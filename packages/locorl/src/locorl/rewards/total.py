@@ -35,7 +35,7 @@ def total_reward(state: StepState, config: RewardConfig, dt: float) -> tuple[Ten
     # one after the other: the order of `sum` depends on the number of robots
     reward = reduce(torch.add, shares.unbind())
     if config.clip_at_zero:
-        reward.clamp_(min=0.0)
+        reward = reward.clamp(min=0.0)
     return reward, dict(zip(names, shares.unbind(), strict=True))
 
 
