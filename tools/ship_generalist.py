@@ -3,7 +3,7 @@ r"""Put a trained generalist into the package, with its provenance and its evalu
 The one that ships was made by these two commands, the second of which makes it thrifty:
 
     locorl train runs/generalist --iterations 160 --seed 1 --mirror
-    locorl train runs/efficient --start runs/generalist/policy.pt --iterations 100 --seed 2 --mirror \
+    locorl train runs/efficient --start runs/generalist/policy.pt --iterations 240 --seed 2 --mirror \
         --task.reward.specific-power -2 --ppo.learning-rate 5e-4
     python tools/ship_generalist.py go2-flat runs/generalist runs/efficient --commits <at which each was trained>
 """
