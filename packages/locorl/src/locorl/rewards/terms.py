@@ -152,9 +152,8 @@ def stumble(state: StepState, _: RewardConfig) -> Tensor:
 
 def progress(state: StepState, _: RewardConfig) -> Tensor:
     """Progress: min(<v_xy, v_cmd> / |v_cmd|, |v_cmd|), velocity in the commanded direction, m/s. Ours."""
-    (x, y, _), (ahead, aside, _) = state.velocity.unbind(1), state.command.unbind(1)
     speed = _square_xy(state.command).sqrt()
-    along = (x * ahead + y * aside) / speed.clamp(min=1e-6)
+    along = (state.velocity[:, :2] * state.command[:, :2]).sum(dim=1) / speed.clamp(min=1e-6)
     return torch.minimum(along, speed)
 
 
