@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import rich
 import tyro
 from from_scratch import STUDIES
 from locorl import EvalConfig, Evaluation, FinetuneConfig, Trainer, evaluate, finetune, load_policy, repeat_design
@@ -107,7 +106,7 @@ def main() -> None:
     }
     folder = write_results("go2-flat-finetune", lines, facts, options.seeds)
     save(curves(cases), folder / "curves.png")
-    rich.print("\n".join(lines), f"-> {folder}", sep="\n")
+    print("\n".join(lines), f"-> {folder}", sep="\n")
 
 
 def run(factory: BodyFactory, options: Options, body: tuple[float, ...], seed: int) -> Case:

@@ -15,18 +15,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import rich
 import tyro
 from locorl import (
     EvalConfig,
-    PPOConfig,
     TaskConfig,
     TrainConfig,
     Trainer,
     evaluate,
     load_policy,
     make_task,
-    sample_designs,
 )
 from locorl.commands.evaluate import to_json
 from locorl.evaluation.plots import bodies_figure, save
@@ -34,11 +31,19 @@ from locorl.interfaces import BodyFactory
 from locorl.providers import find_factory
 from locorl.training.metrics import read_metrics
 from matplotlib.figure import Figure
-from study import RUNS, Snapshots, bare_rate, markdown_table, write_results
+from study import (
+    EVALUATION_SEED,
+    MIRRORED,
+    RUNS,
+    Snapshots,
+    markdown_table,
+    on,
+    rate_beside,
+    unseen_bodies,
+    write_results,
+)
 
-from legged_codesign.report.style import figure, label
-
-BODIES, EVALUATION_SEED = 100, 7
+from legged_codesign.report.style import MUTED, figure, label
 
 
 @dataclass(frozen=True)
@@ -66,24 +71,11 @@ class Study:
     """Highest tracking error of the worst decile, m/s."""
 
 
-def on(
-    *kinds: str, difficulty: tuple[float, float] = (0.0, 1.0), levels: int = 10
-) -> Callable[[TaskConfig], TaskConfig]:
-    """The task on other ground."""
-
-    def change(task: TaskConfig) -> TaskConfig:
-        terrain = replace(task.terrain, kinds=kinds, columns=len(kinds), difficulty=difficulty, levels=levels)
-        return replace(task, terrain=terrain)
-
-    return change
-
-
 def as_it_is(task: TaskConfig) -> TaskConfig:
     """The task of the training."""
     return task
 
 
-MIRRORED = PPOConfig(mirror=True)
 EIGHT_CENTIMETRES = (0.08 - 0.05) / 0.18
 """Difficulty at which steps are 8 cm high."""
 
@@ -141,7 +133,7 @@ def main() -> None:
     save(curve(study, {seed: run["facts"]["snapshots"] for seed, run in runs.items()}), folder / "curve.png")
     last = runs[options.seeds[-1]]["last"]
     save(bodies_figure(next(iter(last.values())), factory.space.names), folder / "bodies.png")
-    rich.print("\n".join(lines), f"-> {folder}", sep="\n")
+    print("\n".join(lines), f"-> {folder}", sep="\n")
 
 
 def train(study: Study, factory: BodyFactory, folder: Path, seed: int) -> dict[str, Any]:
@@ -152,7 +144,7 @@ def train(study: Study, factory: BodyFactory, folder: Path, seed: int) -> dict[s
     Trainer(factory, config, folder).run(f"{folder.parent.name}, seed {seed}", watchers=[snapshots])
     metrics = {int(row["iteration"]): row for row in read_metrics(folder / "metrics.jsonl")}
     minutes = np.cumsum([row["seconds"] for row in metrics.values()]) / 60.0
-    designs = sample_designs(factory, BODIES, np.random.default_rng(EVALUATION_SEED))
+    designs = unseen_bodies(factory)
     rows, last = [], {}
     for path in snapshots.paths:
         policy = load_policy(path)
@@ -170,15 +162,6 @@ def train(study: Study, factory: BodyFactory, folder: Path, seed: int) -> dict[s
         "last": {name: to_json(each) for name, each in last.items()},
     }
     return {"facts": facts, "last": last}
-
-
-def rate_beside(folder: Path, factory: BodyFactory, config: TrainConfig) -> float:
-    """The machine's bare rate just before the training of `folder` began, control steps per second."""
-    path = folder / "bare_rate.txt"
-    if not path.is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        path.write_text(f"{bare_rate(factory, config):.0f}\n", encoding="utf-8")
-    return float(path.read_text(encoding="utf-8"))
 
 
 COLUMNS = (
@@ -250,8 +233,8 @@ def curve(study: Study, runs: Mapping[int, Sequence[Mapping[str, Any]]]) -> Figu
                 x, [each["tracking_error"] for each in summaries], "o-", markersize=3, label=f"{name}, seed {seed}"
             )
             right.plot(x, [each["survived"] / each["robots"] for each in summaries], "o-", markersize=3)
-    left.axhline(study.error, color="#6b7480", linewidth=1, linestyle="--")
-    right.axhline(study.survival, color="#6b7480", linewidth=1, linestyle="--")
+    left.axhline(study.error, color=MUTED, linewidth=1, linestyle="--")
+    right.axhline(study.survival, color=MUTED, linewidth=1, linestyle="--")
     left.set_ylim(bottom=0.0)
     label(left, "environment steps, millions", "mean tracking error, m/s")
     label(right, "environment steps, millions", "share that survived")

@@ -11,10 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-import rich
 import tyro
-from from_scratch import BODIES, EVALUATION_SEED, MIRRORED, on, rate_beside
 from locorl import (
     EvalConfig,
     Evaluation,
@@ -23,14 +20,13 @@ from locorl import (
     evaluate,
     load_policy,
     make_task,
-    sample_designs,
 )
 from locorl.commands.evaluate import to_json
 from locorl.evaluation.obstacles import success_by_obstacle
 from locorl.evaluation.plots import bodies_figure, save
 from locorl.providers import find_factory
 from locorl.training.metrics import read_metrics
-from study import RUNS, markdown_table, write_results
+from study import BODIES, EVALUATION_SEED, MIRRORED, RUNS, markdown_table, on, rate_beside, unseen_bodies, write_results
 
 COURSES = {"hurdles": "hurdles", "platforms": "platforms", "long_jump": "gaps", "tilted_stones": "tilted stones"}
 """Kinds of terrain, and what their obstacles are called."""
@@ -57,10 +53,7 @@ def main() -> None:
     rate = rate_beside(folder, factory, config)
     Trainer(factory, config, folder).run("lite3-parkour")
     metrics = read_metrics(folder / "metrics.jsonl")
-    policy, designs = (
-        load_policy(folder / "policy.pt"),
-        sample_designs(factory, BODIES, np.random.default_rng(EVALUATION_SEED)),
-    )
+    policy, designs = load_policy(folder / "policy.pt"), unseen_bodies(factory)
     results = {}
     for kind in COURSES:
         task = on(kind, difficulty=TASK.terrain.difficulty)(policy.card.task)
@@ -84,7 +77,7 @@ def main() -> None:
     target = write_results("lite3-parkour-from-scratch", lines, facts, (options.seed,))
     for kind, result in results.items():
         save(bodies_figure(result, factory.space.names), target / f"{kind}.png")
-    rich.print("\n".join(lines), f"-> {target}", sep="\n")
+    print("\n".join(lines), f"-> {target}", sep="\n")
 
 
 def success_rows(results: Mapping[str, Evaluation]) -> list[tuple[str, ...]]:

@@ -6,21 +6,26 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from locorl import LeggedEnv, TrainConfig, Trainer, repeat_design
-from locorl.interfaces import BodyFactory
-from locorl.simulation.cpu import CpuSimulator, available_cores
-from locorl.simulation.fields import batch_of
+from locorl import LeggedEnv, PPOConfig, TaskConfig, TrainConfig, Trainer, repeat_design, sample_designs
+from locorl.interfaces import Array, BodyFactory
 
 from legged_codesign.provenance import described
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.measure import bare_batch
+
 RUNS, RESULTS = ROOT / "runs" / "studies", ROOT / "results"
-Row = Mapping[str, Any]
+
+BODIES, EVALUATION_SEED = 100, 7
+MIRRORED = PPOConfig(mirror=True)
 
 
 class Snapshots:
@@ -59,8 +64,7 @@ def bare_rate(factory: BodyFactory, config: TrainConfig, seconds: float = 8.0) -
     """
     env = LeggedEnv(factory, repeat_design(factory, factory.space.nominal, config.num_envs), config.task, seed=0)
     env.reset()
-    assert isinstance(env.sim, CpuSimulator)
-    batch = batch_of(env.sim.model, env.num_envs, available_cores(), env.sim.fields)
+    batch = bare_batch(env)
     batch.bind("qpos")[:] = env.sim.qpos.numpy()
     batch.bind("ctrl")[:] = env.stance_ctrl.double().numpy()
     started, steps = time.perf_counter(), 0
@@ -68,6 +72,32 @@ def bare_rate(factory: BodyFactory, config: TrainConfig, seconds: float = 8.0) -
         batch.step(nstep=config.task.physics.substeps)
         steps += 1
     return steps * env.num_envs / (time.perf_counter() - started)
+
+
+def rate_beside(folder: Path, factory: BodyFactory, config: TrainConfig) -> float:
+    """The machine's bare rate just before the training of `folder` began, control steps per second."""
+    path = folder / "bare_rate.txt"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"{bare_rate(factory, config):.0f}\n", encoding="utf-8")
+    return float(path.read_text(encoding="utf-8"))
+
+
+def unseen_bodies(factory: BodyFactory) -> Array:
+    """The feasible bodies of the evaluations, drawn with a seed that no training has, (B, d)."""
+    return sample_designs(factory, BODIES, np.random.default_rng(EVALUATION_SEED))
+
+
+def on(
+    *kinds: str, difficulty: tuple[float, float] = (0.0, 1.0), levels: int = 10
+) -> Callable[[TaskConfig], TaskConfig]:
+    """The task on other ground."""
+
+    def change(task: TaskConfig) -> TaskConfig:
+        terrain = replace(task.terrain, kinds=kinds, columns=len(kinds), difficulty=difficulty, levels=levels)
+        return replace(task, terrain=terrain)
+
+    return change
 
 
 def write_results(name: str, summary: Sequence[str], facts: Mapping[str, Any], seeds: Sequence[int]) -> Path:
