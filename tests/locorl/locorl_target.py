@@ -43,7 +43,17 @@ class TargetEnv:
             self.final = {group: torch.full_like(values, float("nan")) for group, values in self.final.items()}
         zeros = torch.zeros(self.num_envs)
         info = StepInfo(
-            ids, self.final, {"target": reward.mean()}, zeros, zeros, zeros, zeros.bool(), zeros, zeros, zeros.bool()
+            ids,
+            self.final,
+            {"target": reward.mean()},
+            zeros,
+            zeros,
+            zeros,
+            zeros.bool(),
+            zeros,
+            zeros,
+            truncated,
+            robots,
         )
         if truncated.any():
             self.last = self.final

@@ -25,8 +25,10 @@ def course_of(env: LeggedEnv) -> torch.Tensor:
 @pytest.fixture
 def jumper(factory, designs) -> LeggedEnv:
     task = make_task("parkour-highjump")
+    terrain = replace(task.terrain, difficulty=(0.0, 0.5))
     still = CommandConfig((0.5, 0.5), (0.0, 0.0), (-1.0, 1.0), hold=100.0, standing=0.0)
-    env = LeggedEnv(factory, designs, replace(task, randomisation=no_randomisation(), command=still), threads=1)
+    task = replace(task, terrain=terrain, randomisation=no_randomisation(), command=still)
+    env = LeggedEnv(factory, designs, task, threads=1)
     env.reset(seed=0)
     return env
 

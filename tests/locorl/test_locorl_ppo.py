@@ -149,7 +149,8 @@ def test_a_rollout_bootstraps_with_the_state_it_was_cut_in():
     torch.testing.assert_close(rollout.mean, ppo.model.act(rollout.obs).detach())
     assert stats["reward"] == pytest.approx(rollout.reward.mean().item() / env.dt, rel=1e-5)
     assert stats["term/target"] == pytest.approx(stats["reward"], rel=1e-5)
-    assert stats["fall_rate"] == pytest.approx(1 / 16 / env.dt)
+    assert stats["fall_rate"] == stats["success_rate"] == pytest.approx(1 / 16 / env.dt)
+    assert stats["terrain_level"] == 1.5  # of robots on levels 0 to 3
 
 
 def test_a_rollout_may_end_in_falls_alone():

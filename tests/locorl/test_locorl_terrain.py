@@ -403,6 +403,31 @@ def test_difficulty_runs_from_the_first_to_the_last_level():
     assert TerrainMap(config("platforms", levels=1)).obstacle[0, 0].item() == pytest.approx(0.45)
 
 
+@pytest.mark.parametrize(
+    ("kind", "obstacle"),
+    [("steps_up", 0.0125), ("steps_down", 0.0125), ("hills", 0.015), ("slope_up", 0.0), ("slope_down", 0.0)]
+    + [("platforms", 0.025), ("long_jump", 0.025), ("tilted_stones", 0.025)],
+)
+def test_below_difficulty_0_obstacles_shrink(kind, obstacle):
+    """At -0.75 they are a quarter of the easiest ones of difficulty 0."""
+    world = Scene(TerrainMap(config(kind, levels=1, difficulty=(-0.75, -0.75))))
+    assert world.terrain.obstacle[0].tolist() == pytest.approx([obstacle] * 2)
+    x, y = world.tile_points(0, 0, 200).T
+    on_top = world.height(x, y)
+    on_top = on_top[on_top > -0.5]
+    steps = {"steps_up": 4, "steps_down": 7, "platforms": 3, "hills": 1, "long_jump": 0, "tilted_stones": 0}
+    assert on_top.min() >= -obstacle - 1e-6
+    assert on_top.max() == pytest.approx(steps.get(kind, 0) * obstacle, abs=0.015 if kind == "hills" else 1e-6)
+
+
+def test_below_difficulty_0_hurdles_are_lower():
+    world = Scene(TerrainMap(config("hurdles", levels=1, difficulty=(-0.5, -0.5))))
+    tops = world.terrain.waypoints[0, :, 1:7, 2]
+    assert tops.min() >= 0.05 - 1e-6
+    assert tops.max() <= 0.075 + 1e-6
+    assert world.height(*world.terrain.waypoints[0, 0, 1, :2].tolist()) == pytest.approx(tops[0, 0].item(), abs=1e-6)
+
+
 def wall(difficulty, rng, size):
     x, half, height = size.length - 1.0, size.width / 2, 0.1 + difficulty
     return Tile((Box.between((x - 0.1, -half, 0.0), (x + 0.1, half, height)),), (1.0, 0.0), obstacle=height)
@@ -438,7 +463,7 @@ def test_configuration_survives_json():
         (lambda: TerrainConfig(kinds=()), "need a kind"),
         (lambda: TerrainConfig(levels=0), "levels >= 1"),
         (lambda: TerrainConfig(kinds=("hills", "steps"), columns=1), "need as many columns"),
-        (lambda: TerrainConfig(difficulty=(0.8, 0.2)), "0 <= easiest <= hardest"),
+        (lambda: TerrainConfig(difficulty=(0.8, 0.2)), "-1 < easiest <= hardest"),
         (lambda: TerrainConfig(cell=0.0), "cell"),
         (lambda: TerrainMap(TerrainConfig(kinds=("lava",))), r"no terrain is called \['lava'\]; there are: flat"),
         (lambda: TerrainMap(TerrainConfig(kinds=("hurdles",))), "18 x 4 m"),

@@ -236,6 +236,7 @@ class LeggedEnv:
         self.observer.advance(seen)
         obs = self.observer.observe(seen)
         done = (terminated | truncated).nonzero().flatten()
+        level = self.curriculum.level.clone()
         final_obs = {group: values[done] for group, values in obs.items()}
         if len(done):
             asked = self.progress.whole_way(task.episode_steps - self.episode_step)
@@ -257,6 +258,7 @@ class LeggedEnv:
             velocity=now.velocity,
             position=now.position,
             success=success,
+            level=level,
         )
         return obs, reward, terminated, truncated, info
 

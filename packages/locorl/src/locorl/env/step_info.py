@@ -22,6 +22,7 @@ class StepInfo(NamedTuple):
         velocity: base velocity after the step, before any reset, base frame, (N, 3), m/s.
         position: base position likewise, world frame, (N, 3), m.
         success: robots that reached their last waypoint in this step, (N,) bool.
+        level: of the terrain that each robot stood on, (N,).
     """
 
     done_ids: Tensor
@@ -34,3 +35,4 @@ class StepInfo(NamedTuple):
     velocity: Tensor
     position: Tensor
     success: Tensor
+    level: Tensor

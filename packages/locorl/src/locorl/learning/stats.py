@@ -23,18 +23,20 @@ class RolloutStats:
     def add(self, info: StepInfo) -> None:
         """Take in one step."""
         self._names = tuple(info.reward_terms)
-        columns = (info.tracking_error.mean(), info.diverged.float().mean(), *info.reward_terms.values())
-        self._rows.append(torch.stack(columns))
+        robots = (info.tracking_error, info.diverged.float(), info.success.float(), info.level.float())
+        self._rows.append(torch.stack((*(each.mean() for each in robots), *info.reward_terms.values())))
 
     def summary(self, rollout: Rollout, dt: float) -> dict[str, float]:
-        """Means over the rollout; `reward`, its terms and `fall_rate` are per second."""
+        """Means over the rollout; `reward`, its terms, `fall_rate` and `success_rate` are per second."""
         reward = torch.stack((rollout.reward.mean(), rollout.terminated.float().mean())) / dt
         reward, fall_rate = reward.tolist()
-        error, diverged, *terms = torch.stack(self._rows).mean(dim=0).tolist()
+        error, diverged, success, level, *terms = torch.stack(self._rows).mean(dim=0).tolist()
         return {
             "reward": reward,
             "fall_rate": fall_rate,
             "tracking_error": error,
             "diverged": diverged,
+            "success_rate": success / dt,
+            "terrain_level": level,
             **{f"term/{name}": value / dt for name, value in zip(self._names, terms, strict=True)},
         }

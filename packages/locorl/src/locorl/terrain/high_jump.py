@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from locorl.terrain.course import OBSTACLES, OFFSET, RUN_UP, course
-from locorl.terrain.tile import Box, Tile, TileSize, either
+from locorl.terrain.tile import Box, Tile, TileSize, either, grown
 
 _PROFILE = (1, 2, 3, 3, 2, 1)
 """Height of each platform in steps: three up, one level, two down."""
@@ -16,8 +16,8 @@ def hurdles(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile
 
     The floor goes on beside them; waypoints lie on top of them.
     """
-    depth, half_width = 0.1 + 0.3 * difficulty, rng.uniform(0.4, 0.8)
-    heights = rng.uniform(0.1 + 0.1 * difficulty, 0.15 + 0.25 * difficulty, OBSTACLES)
+    depth, half_width = 0.1 + 0.3 * max(difficulty, 0.0), rng.uniform(0.4, 0.8)
+    heights = rng.uniform(grown(difficulty, 0.1, 0.1), grown(difficulty, 0.15, 0.25), OBSTACLES)
     # the first stands within its spacing, so that no robot starts against it
     x = RUN_UP + np.cumsum(rng.uniform(1.2, 2.2, OBSTACLES))
     y = rng.uniform(-OFFSET, OFFSET, OBSTACLES)
@@ -31,7 +31,7 @@ def hurdles(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile
 
 def platforms(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile:
     """Six platforms in steps of h = 0.1 + 0.35 d m, three up, one level, two down, each U(0.3, 1.5) + h m long."""
-    height, half_width = 0.1 + 0.35 * difficulty, rng.uniform(0.5, 1.0)
+    height, half_width = grown(difficulty, 0.1, 0.35), rng.uniform(0.5, 1.0)
     ends = RUN_UP + np.cumsum(rng.uniform(0.3, 1.5, OBSTACLES) + height)
     starts = np.concatenate(([RUN_UP], ends[:-1]))
     y = rng.uniform(-OFFSET, OFFSET, OBSTACLES)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from locorl.terrain.course import OBSTACLES, OFFSET, RUN_UP, course
-from locorl.terrain.tile import PIT, Box, Tile, TileSize
+from locorl.terrain.tile import PIT, Box, Tile, TileSize, grown
 
 
 def long_jump(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile:
@@ -13,7 +13,7 @@ def long_jump(difficulty: float, rng: np.random.Generator, size: TileSize) -> Ti
 
     Waypoints lie in the middle of the ledges; the last obstacle's lies behind its gap.
     """
-    gap, half_width = 0.1 + 0.7 * difficulty, rng.uniform(0.6, 1.2)
+    gap, half_width = grown(difficulty, 0.1, 0.7), rng.uniform(0.6, 1.2)
     lengths = rng.uniform(0.8, 1.5, OBSTACLES - 1)
     y = rng.uniform(-OFFSET, OFFSET, OBSTACLES - 1)
     starts = RUN_UP + gap + np.concatenate(([0.0], np.cumsum(lengths + gap)))

@@ -40,7 +40,7 @@ class TerrainConfig:
     tile: TileSize = LOCOMOTION
     """Extent of a tile; parkour needs 18 x 4 m."""
     difficulty: tuple[float, float] = (0.0, 1.0)
-    """Difficulty of the first and of the last level; above 1 it goes on beyond the training range."""
+    """Difficulty of the first and of the last level, see `Kind`; above 1 it goes on beyond the paper's range."""
     cell: float = 0.05
     """Spacing of the height grid that scans and cameras read, m."""
     relief_cell: float = 0.2
@@ -58,8 +58,8 @@ class TerrainConfig:
             raise ValueError(f"TerrainConfig: need a kind, levels >= 1 and seed >= 0, got {self}")
         if self.columns is not None and self.columns < len(self.kinds):
             raise ValueError(f"TerrainConfig: {len(self.kinds)} kinds need as many columns, got {self.columns}")
-        if not 0.0 <= low <= high:
-            raise ValueError(f"TerrainConfig: need 0 <= easiest <= hardest difficulty, got {self.difficulty}")
+        if not -1.0 < low <= high:
+            raise ValueError(f"TerrainConfig: need -1 < easiest <= hardest difficulty, got {self.difficulty}")
         if min(self.cell, self.relief_cell, self.border) <= 0.0:
             raise ValueError(f"TerrainConfig: need cell, relief_cell and border > 0, got {self}")
 

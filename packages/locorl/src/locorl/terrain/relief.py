@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from locorl.interfaces import Array
-from locorl.terrain.tile import Relief, Tile, TileSize, either, middle
+from locorl.terrain.tile import Relief, Tile, TileSize, either, grown, middle
 
 PLATFORM = 1.6
 """Half the side of the level square in the middle of a slope, m."""
@@ -21,7 +21,7 @@ def hills(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile:
 
     The start and the border of the tile are level.
     """
-    amplitude, roughness = 0.05 + 0.2 * difficulty, 0.01 + 0.02 * difficulty
+    amplitude, roughness = grown(difficulty, 0.05, 0.2), grown(difficulty, 0.01, 0.02)
     swell = value_noise(rng, size, spacing=1.5, smooth=True)
     grain = value_noise(rng, size, spacing=0.2, smooth=False)
 
@@ -51,7 +51,7 @@ def _pyramid(difficulty: float, size: TileSize, hollow: bool) -> Tile:
     run = min(size.length, size.width) / 2 - PLATFORM
     if run <= 0:
         raise ValueError(f"a slope needs a tile of more than {2 * PLATFORM} m each way, got {size}")
-    rise = 0.4 * difficulty * run
+    rise = 0.4 * max(difficulty, 0.0) * run
 
     def relief(x: Array, y: Array) -> Array:
         border = np.minimum(np.minimum(x, size.length - x), size.width / 2 - np.abs(y))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from locorl.terrain.tile import Box, Tile, TileSize, either, middle
+from locorl.terrain.tile import Box, Tile, TileSize, either, grown, middle
 
 TREAD = 0.31
 """Depth of a step, m."""
@@ -20,7 +20,7 @@ RIM = 0.6
 
 def step_height(difficulty: float) -> float:
     """Height of one step, m: 0.05 + 0.18 d."""
-    return 0.05 + 0.18 * difficulty
+    return grown(difficulty, 0.05, 0.18)
 
 
 def steps_down(difficulty: float, rng: np.random.Generator, size: TileSize) -> Tile:

@@ -74,8 +74,14 @@ class Tile:
 Kind = Callable[[float, np.random.Generator, TileSize], Tile]
 """A kind of terrain: (difficulty, random generator, size of the tile) -> tile.
 
-Difficulty is 0 at the easiest and 1 at the hardest that policies are trained on; more is allowed.
+Difficulty is 0 at the easiest and 1 at the hardest that the paper trains on; more is allowed. From 0 down to -1 the
+obstacles of the easiest shrink to nothing, so that a policy can learn to walk on the way to them.
 """
+
+
+def grown(difficulty: float, easiest: float, growth: float) -> float:
+    """A size that is `easiest` at difficulty 0, grows by `growth` up to difficulty 1, and shrinks to 0 down to -1."""
+    return easiest + growth * difficulty if difficulty >= 0.0 else easiest * (1.0 + difficulty)
 
 
 def either(*kinds: Kind) -> Kind:
