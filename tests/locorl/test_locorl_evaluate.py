@@ -327,14 +327,13 @@ def test_the_worst_bodies_are_listed_with_their_design():
 
 
 def test_success_on_a_course_is_tabled_by_hip_heights():
-    course = Course(
-        np.full((4, 2), 0.3), np.array([[0.3, 0.3], [0.2, 0.2], [0.3, 0.3], [0.2, 0.2]]), np.full((4, 2), 4.0)
-    )
+    hips = np.array([[0.3, 0.3], [0.2, 0.2], [0.3, 0.3], [0.2, 0.2]])
+    course = Course(np.full((4, 2), 0.3), hips, np.full((4, 2), 4.0), np.full((4, 2), "long_jump"))
     succeeded = np.array([[1, 1], [0, 0], [1, 0], [1, 0]], dtype=bool)
     result = scored(course=course, succeeded=succeeded)
-    assert [row[:3] for row in cells(obstacle_table(result))] == [
-        ["1.00 to 1.25", "4", "75%"],
-        ["1.50 to 1.75", "4", "25%"],
+    assert [row[:4] for row in cells(obstacle_table(result))] == [
+        ["long jump", "1.00 to 1.25", "4", "75%"],
+        ["long jump", "1.50 to 1.75", "4", "25%"],
     ]
     # by hand: the first is done with 4 of 4 m, the last with 5 of 8
     assert [row[5] for row in cells(worst_table(result, ("a", "b", "c", "d"), 4))][-1] == "2 of 2"
@@ -344,13 +343,13 @@ def test_success_on_a_course_is_tabled_by_hip_heights():
 def test_notes_tell_what_success_owes_to_the_protocol():
     # 0.5 m/s for 10 s reach 5 m
     length = np.array([[4.0, 6.0], [4.9, 4.0], [4.0, 4.0], [12.0, 4.0]])
-    course = Course(np.ones((4, 2)), np.ones((4, 2)), length)
+    course = Course(np.ones((4, 2)), np.ones((4, 2)), length, np.full((4, 2), "gaps"))
     succeeded = np.ones((4, 2), dtype=bool)
     (note,) = course_notes(scored(course=course, succeeded=succeeded))
     assert "2 of 8 robots had no time" in note
     assert "--evaluation.seconds 29" in note  # 12 m at 0.5 m/s, and a fifth more
     single = scored(
-        course=Course(*np.ones((3, 4, 1))),
+        course=Course(*np.ones((3, 4, 1)), kind=np.full((4, 1), "gaps")),
         command=np.full((4, 1), 0.5),
         succeeded=succeeded[:, :1],
         config=EvalConfig(),

@@ -143,12 +143,14 @@ def test_gains_are_robot_by_robot():
         gains(before, replace(after, config=EvalConfig(robots_per_body=4, seed=1)))
 
 
-def course(obstacle: list[float], hip: list[float], succeeded: list[bool]) -> Evaluation:
+def course(
+    obstacle: list[float], hip: list[float], succeeded: list[bool], kinds: list[str] | None = None
+) -> Evaluation:
     size, height = np.array([obstacle]), np.array([hip])
     return evaluation(
         robots=len(obstacle),
         succeeded=np.array([succeeded]),
-        course=Course(obstacle=size, hip_height=height, length=np.full_like(size, 8.0)),
+        course=Course(size, height, length=np.full_like(size, 8.0), kind=np.array([kinds or ["gaps"] * len(hip)])),
     )
 
 
@@ -156,21 +158,29 @@ def test_success_is_binned_by_the_bodys_own_hip_height():
     # the same obstacle of 0.3 m is 1 hip height for one body and 1.5 for another
     result = course([0.3, 0.3, 0.3, 0.2, 0.06], [0.3, 0.2, 0.2, 0.4, 0.3], [True, False, True, True, True])
     assert success_by_obstacle(result, 0.5) == [
-        ObstacleBin(0.0, 0.5, 1, 1),
-        ObstacleBin(0.5, 1.0, 1, 1),
-        ObstacleBin(1.0, 1.5, 1, 1),
-        ObstacleBin(1.5, 2.0, 2, 1),
+        ObstacleBin("gaps", 0.0, 0.5, 1, 1),
+        ObstacleBin("gaps", 0.5, 1.0, 1, 1),
+        ObstacleBin("gaps", 1.0, 1.5, 1, 1),
+        ObstacleBin("gaps", 1.5, 2.0, 2, 1),
     ]
     # of 10 m commanded, the course asks for 8
     assert result.summary()["commanded_distance"] == 8.0
 
 
+def test_kinds_of_courses_have_bins_of_their_own():
+    result = course([0.3] * 3, [0.3] * 3, [True, False, True], ["hurdles", "gaps", "hurdles"])
+    assert success_by_obstacle(result, 0.5) == [
+        ObstacleBin("gaps", 1.0, 1.5, 1, 0),
+        ObstacleBin("hurdles", 1.0, 1.5, 2, 2),
+    ]
+
+
 def test_wilsons_interval():
-    low, high = ObstacleBin(0, 1, robots=10, succeeded=8).interval
+    low, high = ObstacleBin("gaps", 0, 1, robots=10, succeeded=8).interval
     assert (low, high) == pytest.approx((0.4902, 0.9433), abs=1e-4)
     for k in (0, 3, 7):
         theirs = stats.binomtest(k, 7).proportion_ci(method="wilson")
-        assert ObstacleBin(0, 1, 7, k).interval == pytest.approx((theirs.low, theirs.high), abs=1e-9)
+        assert ObstacleBin("gaps", 0, 1, 7, k).interval == pytest.approx((theirs.low, theirs.high), abs=1e-9)
     # Wilson's definition: the rates from which the one seen is 1.96 standard deviations away
     for rate in (low, high):
         assert abs(0.8 - rate) == pytest.approx(1.959964 * math.sqrt(rate * (1.0 - rate) / 10), rel=1e-5)

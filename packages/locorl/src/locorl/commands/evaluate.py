@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -123,8 +124,8 @@ def to_json(result: Evaluation) -> dict[str, object]:
     return {"summary": _finite(result.summary()), "protocol": asdict(result.config), "robots": rows}
 
 
-def _finite(values: dict[str, float]) -> dict[str, float | None]:
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}
+def _finite(values: Mapping[str, float | str]) -> dict[str, float | str | None]:
+    return {name: value if isinstance(value, str) or math.isfinite(value) else None for name, value in values.items()}
 
 
 def print_summaries(results: dict[str, dict[str, float]], title: str = "evaluation") -> None:
@@ -167,12 +168,15 @@ def worst_table(result: Evaluation, names: tuple[str, ...], count: int) -> Table
 def obstacle_table(result: Evaluation) -> Table:
     """Success on a course by obstacle size in hip heights of each robot's own body."""
     table = Table(title="success by obstacle size")
+    table.add_column("course")
     for column in ("hip heights", "robots", "succeeded", "95 % interval"):
         table.add_column(column, justify="right")
     for each in success_by_obstacle(result):
         low, high = each.interval
         size = f"{each.low:.2f} to {each.high:.2f}"
-        table.add_row(size, str(each.robots), f"{each.rate:.0%}", f"{low:.0%} to {high:.0%}")
+        table.add_row(
+            each.kind.replace("_", " "), size, str(each.robots), f"{each.rate:.0%}", f"{low:.0%} to {high:.0%}"
+        )
     return table
 
 

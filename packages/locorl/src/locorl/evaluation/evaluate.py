@@ -64,11 +64,13 @@ class Course:
         obstacle: size of the obstacles, m (see `terrain.tile.Tile`).
         hip_height: of the robot in its stance, m.
         length: from the start along all waypoints, m.
+        kind: of terrain, by name.
     """
 
     obstacle: Array
     hip_height: Array
     length: Array
+    kind: NDArray[np.str_]
 
 
 @dataclass(frozen=True)
@@ -206,7 +208,7 @@ def evaluate(
         obs = env.reset_on(*_tiles(config, bodies, *env.terrain.obstacle.shape))
     actor.reset()
     asked = env.command[:, 0].clone()
-    course = _course(env)
+    course = _course(env, (bodies, robots))
 
     alive = torch.ones(env.num_envs, dtype=torch.bool)
     arrived = torch.zeros_like(alive)
@@ -256,15 +258,17 @@ def evaluate(
         mean_power=shape(settled_work / (settled_steps * env.dt).clamp(min=env.dt)),
         succeeded=None if env.goals is None else arrived.numpy().reshape(bodies, robots),
         gait=meter.gait().reshape(bodies, robots),
-        course=None if course is None else Course(*(shape(values) for values in course)),
+        course=course,
     )
 
 
-def _course(env: LeggedEnv) -> tuple[Tensor, Tensor, Tensor] | None:
-    """Size of the obstacles, hip height and length of the course of each robot, (N,), m; None without waypoints."""
+def _course(env: LeggedEnv, shape: tuple[int, int]) -> Course | None:
+    """What the robots of `env` are about to meet, arrays of `shape`; None without waypoints."""
     if env.goals is None:
         return None
     level, column = env.curriculum.level, env.curriculum.column
     points = torch.cat((env.terrain.origins[level, column][:, None], env.goals.course), dim=1)[..., :2]
     length = (points[:, 1:] - points[:, :-1]).norm(dim=-1).sum(dim=1)
-    return env.terrain.obstacle[level, column], env.body.stance_height.clone(), length
+    sizes = (env.terrain.obstacle[level, column], env.body.stance_height, length)
+    kind = np.array(env.terrain.kinds)[column.cpu().numpy()]
+    return Course(*(each.double().cpu().numpy().reshape(shape) for each in sizes), kind=kind.reshape(shape))

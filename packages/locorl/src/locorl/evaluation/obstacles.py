@@ -14,12 +14,14 @@ class ObstacleBin:
     """Robots whose obstacles are at least `low` and less than `high` hip heights large.
 
     Attributes:
+        kind: of terrain that they met.
         low: of the bin, in hip heights of each robot's own body.
         high: likewise.
         robots: number of them.
         succeeded: number of those that reached their last waypoint.
     """
 
+    kind: str
     low: float
     high: float
     robots: int
@@ -41,7 +43,9 @@ class ObstacleBin:
 
 
 def success_by_obstacle(result: Evaluation, width: float = 0.25) -> list[ObstacleBin]:
-    """Bins of `width` hip heights, from the smallest obstacles to the largest; empty ones are left out.
+    """Bins of `width` hip heights for each kind of course, from the smallest obstacles to the largest.
+
+    Empty ones are left out.
 
     Raises:
         ValueError: the evaluation was not on a course, or the width is not above 0.
@@ -53,8 +57,10 @@ def success_by_obstacle(result: Evaluation, width: float = 0.25) -> list[Obstacl
     size = (result.course.obstacle / result.course.hip_height).ravel()
     # 0.5 hip heights must not fall below 0.5 by rounding
     number = np.floor(size / width + 1e-6).astype(int)
-    success = result.succeeded.ravel()
-    return [
-        ObstacleBin(k * width, (k + 1) * width, int((number == k).sum()), int(success[number == k].sum()))
-        for k in np.unique(number).tolist()
-    ]
+    kinds, success = result.course.kind.ravel(), result.succeeded.ravel()
+    bins = []
+    for kind in np.unique(kinds).tolist():
+        for k in np.unique(number[kinds == kind]).tolist():
+            here = (kinds == kind) & (number == k)
+            bins.append(ObstacleBin(kind, k * width, (k + 1) * width, int(here.sum()), int(success[here].sum())))
+    return bins

@@ -160,19 +160,22 @@ def _draw_tiles(ax: Axes, place: Array, at: np.ndarray, value: Array, failed: Ar
 
 
 def _draw_success(ax: Axes, bins: Sequence[ObstacleBin]) -> None:
-    """Share of successes against obstacle size, with 95 % intervals and the number of robots."""
+    """Share of successes on each kind of course against obstacle size, with 95 % intervals."""
     _plain(ax)
-    middle = [(each.low + each.high) / 2 for each in bins]
-    rate = np.array([each.rate for each in bins])
-    low, high = np.array([each.interval for each in bins]).T
-    ax.errorbar(middle, rate, np.stack((rate - low, high - rate)).clip(min=0.0), color=ACCENT, fmt="o-", capsize=3)
-    for x, each in zip(middle, bins, strict=True):
-        ax.annotate(f"{each.robots}", (x, 1.06), ha="center", color=MUTED, fontsize=8)
-    ax.set_ylim(-0.04, 1.13)
-    ax.set_xlim(bins[0].low, bins[-1].high)
+    by_kind = itertools.groupby(bins, key=lambda each: each.kind)
+    for (kind, group), colour in zip(by_kind, itertools.cycle(LINES), strict=False):
+        own = list(group)
+        middle, rate = [(each.low + each.high) / 2 for each in own], np.array([each.rate for each in own])
+        low, high = np.array([each.interval for each in own]).T
+        name = f"{kind.replace('_', ' ')}, {sum(each.robots for each in own)} robots"
+        around = np.stack((rate - low, high - rate)).clip(min=0.0)
+        ax.errorbar(middle, rate, around, color=colour, fmt="o-", markersize=4, capsize=3, label=name)
+    ax.set_ylim(-0.04, 1.04)
+    ax.set_xlim(min(each.low for each in bins), max(each.high for each in bins))
+    ax.legend(frameon=False, fontsize=8.5, labelcolor=INK, loc="lower left")
     ax.set_xlabel("obstacle size, in hip heights of the robot's own body", color=MUTED, fontsize=9.5)
     ax.set_ylabel("share that reached the last waypoint", color=MUTED, fontsize=9.5)
-    ax.set_title("success by obstacle size (robots on top)", color=INK, fontsize=10.5, loc="left")
+    ax.set_title("success by obstacle size, 95 % intervals", color=INK, fontsize=10.5, loc="left")
 
 
 def curves_figure(groups: Mapping[str, Sequence[Curve]], samples: float, metric: str) -> Figure:
