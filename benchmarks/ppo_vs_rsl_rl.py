@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 # not the folder of this file: it has a morphgen.py, which `import morphgen` would find
 sys.path[0] = str(Path(__file__).parents[1])
@@ -70,11 +71,11 @@ class Training:
     """One training, iteration by iteration.
 
     Args:
-        env: what it trains on; its `step` is timed from now on.
+        env: what it trains on, a `LeggedEnv` or its adapter; its `step` is timed from now on.
         iterate: makes one iteration.
     """
 
-    def __init__(self, env: LeggedEnv | RslRlVecEnv, iterate: Callable[[], object]) -> None:
+    def __init__(self, env: Any, iterate: Callable[[], object]) -> None:
         self._iterate = iterate
         self._simulation, self._rewards = 0.0, []
         step = env.step

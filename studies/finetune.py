@@ -18,12 +18,21 @@ from pathlib import Path
 import numpy as np
 import tyro
 from from_scratch import STUDIES
-from locorl import EvalConfig, Evaluation, FinetuneConfig, Trainer, evaluate, finetune, load_policy, repeat_design
-from locorl.evaluation.fitness import gains
+from locorl import (
+    EvalConfig,
+    Evaluation,
+    FinetuneConfig,
+    Trainer,
+    evaluate,
+    find_factory,
+    finetune,
+    gains,
+    load_policy,
+    read_metrics,
+    repeat_design,
+)
 from locorl.evaluation.plots import save
 from locorl.interfaces import Array, BodyFactory
-from locorl.providers import find_factory
-from locorl.training.metrics import read_metrics
 from matplotlib.figure import Figure
 from study import RUNS, markdown_table, write_results
 

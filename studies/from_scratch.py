@@ -22,14 +22,14 @@ from locorl import (
     TrainConfig,
     Trainer,
     evaluate,
+    find_factory,
     load_policy,
     make_task,
+    read_metrics,
 )
 from locorl.commands.evaluate import to_json
 from locorl.evaluation.plots import bodies_figure, save
 from locorl.interfaces import BodyFactory
-from locorl.providers import find_factory
-from locorl.training.metrics import read_metrics
 from matplotlib.figure import Figure
 from study import (
     EVALUATION_SEED,

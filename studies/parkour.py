@@ -17,13 +17,13 @@ from locorl import (
     TrainConfig,
     Trainer,
     evaluate,
+    find_factory,
     load_policy,
     make_task,
+    read_metrics,
+    success_by_obstacle,
 )
-from locorl.evaluation.obstacles import success_by_obstacle
 from locorl.evaluation.plots import bodies_figure, save
-from locorl.providers import find_factory
-from locorl.training.metrics import read_metrics
 from study import BODIES, EVALUATION_SEED, MIRRORED, RUNS, markdown_table, rate_beside, unseen_bodies, write_results
 
 TASK = make_task("parkour-mixed")

@@ -18,12 +18,16 @@ from locorl.env.randomisation import RandomisationConfig, no_randomisation
 from locorl.env.scan import ScanConfig
 from locorl.env.step_info import StepInfo
 from locorl.env.symmetry import Symmetry
-from locorl.evaluation.evaluate import EvalConfig, Evaluation, evaluate
+from locorl.evaluation.evaluate import Course, EvalConfig, Evaluation, evaluate
+from locorl.evaluation.fitness import gains
+from locorl.evaluation.gait import Gait
+from locorl.evaluation.obstacles import ObstacleBin, success_by_obstacle
 from locorl.learning.config import PPGConfig
 from locorl.learning.hooks import RolloutHook
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.learning.policy import Policy, PolicyCard, load_policy
 from locorl.learning.ppo import PPO, DivergedError, PPOConfig
+from locorl.providers import find_factory
 from locorl.rewards.config import RewardConfig, released_code, table_i
 from locorl.simulation.make import SimulatorConfig
 from locorl.simulation.scene import PhysicsConfig, flat_scene
@@ -32,6 +36,7 @@ from locorl.tasks import TASKS, TaskConfig, make_task
 from locorl.terrain.curriculum import CurriculumConfig
 from locorl.terrain.map import TerrainConfig, TerrainMap
 from locorl.training.finetune import FinetuneConfig, Finetuned, finetune
+from locorl.training.metrics import read_metrics
 from locorl.training.trainer import TrainConfig, Trainer
 
 __all__ = [
@@ -40,6 +45,7 @@ __all__ = [
     "ActorCritic",
     "CheckpointError",
     "CommandConfig",
+    "Course",
     "CurriculumConfig",
     "DepthCamera",
     "DepthConfig",
@@ -48,12 +54,14 @@ __all__ = [
     "Evaluation",
     "FinetuneConfig",
     "Finetuned",
+    "Gait",
     "GoalConfig",
     "LeggedEnv",
     "MorphologyConfig",
     "MorphologySampler",
     "NetworkConfig",
     "ObservationConfig",
+    "ObstacleBin",
     "PPGConfig",
     "PPOConfig",
     "PhysicsConfig",
@@ -75,15 +83,19 @@ __all__ = [
     "design_grid",
     "evaluate",
     "feasible",
+    "find_factory",
     "finetune",
     "flat_scene",
+    "gains",
     "load_policy",
     "make_sampler",
     "make_task",
     "no_randomisation",
+    "read_metrics",
     "released_code",
     "repeat_design",
     "sample_designs",
     "sobol_designs",
+    "success_by_obstacle",
     "table_i",
 ]

@@ -222,7 +222,7 @@ class LeggedEnv:
         success = self.guidance.reach(now)
         terminated = self._fallen(now) | diverged
         if task.reward.fall != 0.0:
-            terms["fall"] = task.reward.fall * terminated
+            terms["fall"] = task.reward.fall * (terminated & ~diverged)
             reward = reward + terms["fall"]
         reward = torch.where(diverged, torch.zeros_like(reward), reward)
         truncated = ~terminated & ((self.episode_step >= task.episode_steps) | success)
