@@ -37,7 +37,8 @@ def preset(name: str, objective: Objective = "cost-of-transport") -> RunConfig:
 
 def _laptop() -> RunConfig:
     return RunConfig(
-        pretrain=locorl.TrainConfig(iterations=240),  # for --from-scratch; some 10 minutes on 2 cores
+        # for --from-scratch; see results/go2-flat-from-scratch
+        pretrain=locorl.TrainConfig(iterations=160, ppo=locorl.PPOConfig(mirror=True)),
         finetune=locorl.FinetuneConfig(command_vx=(0.4, 0.8)),
     )
 

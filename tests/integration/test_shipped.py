@@ -11,14 +11,25 @@ import pytest
 from locorl import EvalConfig, Policy, evaluate, load_policy, sample_designs
 from locorl.config import from_dict
 from locorl.training.trainer import TrainConfig
-from morphgen import BodyFactory
+from morphgen import BodyFactory, go2, lite3
 
 from legged_codesign.pretrained import shipped_policy
 
+ROBOTS = {"go2": go2, "lite3": lite3}
+WALKERS = {"go2-flat": (0.99, 0.06), "go2-rough": (0.99, 0.06)}
+"""Share that must survive, and highest mean tracking error, m/s."""
+SHIPPED = sorted(path.parent.name for path in shipped_policy("go2").parents[1].glob("*/policy.pt"))
+
+
+@pytest.fixture(scope="module", params=SHIPPED)
+def home(request: pytest.FixtureRequest) -> Path:
+    robot, task = request.param.split("-")
+    return shipped_policy(robot, task).parent
+
 
 @pytest.fixture(scope="module")
-def home() -> Path:
-    return shipped_policy("go2").parent
+def robot(home: Path) -> BodyFactory:
+    return ROBOTS[home.name.split("-")[0]]()
 
 
 @pytest.fixture(scope="module")
@@ -31,8 +42,8 @@ def provenance(home: Path) -> dict:
     return json.loads((home / "provenance.json").read_text())
 
 
-def test_generalist_is_for_the_whole_design_space(generalist: Policy, go2: BodyFactory) -> None:
-    generalist.check_space(go2.name, go2.space)
+def test_generalist_is_for_the_whole_design_space(generalist: Policy, robot: BodyFactory) -> None:
+    generalist.check_space(robot.name, robot.space)
     card = generalist.card
     assert (card.design_low, card.design_high) == ((0.6,) * 4, (1.4,) * 4)
 
@@ -63,21 +74,28 @@ def test_provenance_says_how_to_make_it_again(provenance: dict, generalist: Poli
 def test_recorded_evaluation_meets_the_target(provenance: dict, home: Path) -> None:
     summary = provenance["evaluation"]["summary"]
     assert provenance["evaluation"]["command"].startswith("locorl evaluate")
-    assert summary["robots"] == 100
-    assert summary["survived"] >= 99
-    assert summary["tracking_error"] <= 0.06
     recorded = json.loads((home / "evaluation.json").read_text())
     assert recorded["summary"] == summary
+    assert len({tuple(robot["design"]) for robot in recorded["robots"]}) == 100
     errors = [robot["tracking_error"] for robot in recorded["robots"]]
     assert np.mean(errors) == pytest.approx(summary["tracking_error"])
+    if home.name in WALKERS:
+        survived, error = WALKERS[home.name]
+        assert summary["survived"] >= survived * summary["robots"]
+        assert summary["tracking_error"] <= error
+    else:
+        # every level of the course, the hardest of which it need not pass
+        assert summary["succeeded"] >= 0.5 * summary["robots"]
 
 
-def test_it_walks_on_bodies_drawn_now(generalist: Policy, go2: BodyFactory) -> None:
-    bodies = sample_designs(go2, 12, np.random.default_rng(20_260))
-    protocol = EvalConfig(seconds=6.0, vx=(0.6, 0.6), settle=2.0, seed=11)
-    result = evaluate(generalist, go2, bodies, generalist.card.task, protocol)
+def test_it_walks_on_bodies_drawn_now(generalist: Policy, robot: BodyFactory) -> None:
+    bodies = sample_designs(robot, 12, np.random.default_rng(20_260))
+    task = generalist.card.task
+    level = 0 if task.goals is not None else None
+    protocol = EvalConfig(seconds=6.0, vx=(0.6, 0.6), settle=2.0, seed=11, level=level)
+    result = evaluate(generalist, robot, bodies, task, protocol)
     assert result.survived.all()
-    assert result.tracking_error.mean() < 0.08
+    assert result.tracking_error.mean() < (0.08 if task.goals is None else 0.2)
     assert result.distance.min() > 0.8 * 0.6 * 6.0
 
 
