@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from locorl import CommandConfig, GoalConfig, LeggedEnv, TaskConfig, make_task, no_randomisation
 from locorl.env.goals import Waypoints
 from locorl.env.kinematics import roll_pitch, wrap, yaw_of, yaw_quat
+from locorl.env.state import read_motion
 
 CPU = torch.device("cpu")
 angles = st.floats(-10.0, 10.0)
@@ -110,6 +111,18 @@ def test_robots_are_steered_towards_the_next_waypoint(jumper):
     env.sim.qpos[:, 3:7] = yaw_quat(torch.full((8,), 3.0, dtype=torch.float64))
     env.step(torch.zeros(8, 12))
     assert (env.command[:, 2].abs() <= 1.0).all()
+
+
+def test_on_a_course_the_commanded_velocity_points_to_the_waypoint(jumper):
+    env = jumper
+    env.sim.qpos[:, 3:7] = yaw_quat(torch.linspace(-3.0, 3.0, 8, dtype=torch.float64))
+    now = read_motion(env.sim)
+    command = env.guidance.velocity_command(now, env.guidance.direction(now))
+    way = env.goal - env.sim.qpos[:, :3]
+    world = torch.atan2(command[:, 1], command[:, 0]) + yaw_of(env.sim.qpos[:, 3:7])
+    np.testing.assert_allclose(wrap(world - torch.atan2(way[:, 1], way[:, 0])), 0.0, atol=1e-5)
+    np.testing.assert_allclose(command[:, :2].norm(dim=1), 0.5, rtol=1e-5)
+    assert torch.equal(command[:, 2], env.command[:, 2])
 
 
 def test_goal_tracking_pays_speed_towards_the_waypoint(jumper):

@@ -46,6 +46,18 @@ class Guidance:
         """Unit vector to the next waypoint, world, (N, 3); zero, to be broadcast, without waypoints."""
         return self._nowhere if self.goals is None else self.goals.direction(now.position)
 
+    def velocity_command(self, now: Motion, direction: Tensor) -> Tensor:
+        """What the rewards ask for, vx, vy (m/s) and yaw rate (rad/s), (N, 3), base frame.
+
+        On a course the velocity points to the next waypoint, along what `direction` gave, wherever the robot looks.
+        """
+        command = self.commands.command
+        if self.goals is None:
+            return command
+        cos, sin, (x, y, _) = now.yaw.cos(), now.yaw.sin(), direction.unbind(1)
+        speed = command[:, 0]
+        return torch.stack((speed * (cos * x + sin * y), speed * (cos * y - sin * x), command[:, 2]), dim=1)
+
     def heading_error(self, now: Motion, rows: Tensor | slice = EVERYONE) -> Tensor:
         """Yaw to the next waypoint, or to the heading to keep, minus the robot's, (n,), rad."""
         if self.goals is None:

@@ -81,7 +81,7 @@ class Scoring(Stateful):
         state = StepState(
             velocity=now.velocity,
             rate=now.rate,
-            command=guidance.commands.command,
+            command=guidance.velocity_command(now, direction),
             q_error=now.q - body.stance_q,
             joint_acceleration=(now.qd - self.last_qd) / self._dt,
             action=action,

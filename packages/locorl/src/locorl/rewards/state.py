@@ -17,7 +17,7 @@ class StepState:
     Attributes:
         velocity: linear velocity of the base, (N, 3), m/s.
         rate: angular velocity of the base, (N, 3), rad/s.
-        command: vx, vy (m/s) and yaw rate (rad/s), (N, 3).
+        command: vx, vy (m/s) and yaw rate (rad/s), (N, 3); on a course the velocity points to the next waypoint.
         q_error: joint positions minus the stance, (N, 12), rad; each leg's first joint is its hip.
         joint_acceleration: (N, 12), rad/s^2, finite difference over the control period.
         action: this action, (N, 12).

@@ -118,7 +118,7 @@ def goal_tracking(state: StepState, config: RewardConfig) -> Tensor:
 
     With `normalise_goal_velocity` it is divided by the commanded speed, or by 0.1 m/s below that.
     """
-    speed = state.command[:, 0]
+    speed = torch.linalg.vector_norm(state.command[:, :2], dim=1)
     gain = torch.minimum(torch.linalg.vecdot(state.velocity_world, state.goal_direction), speed)
     return gain / speed.clamp(min=0.1) if config.normalise_goal_velocity else gain
 

@@ -142,7 +142,7 @@ def _parkour(name: str, preset: Preset) -> TaskConfig:
         max_tilt=math.radians(60.0),
         # the ground under the base jumps by an obstacle's height
         min_height=0.2,
-        command=replace(task.command, vx=(0.5, 1.0), heading_gain=1.5),
+        command=replace(task.command, vx=(0.5, 1.0), yaw_rate=(-1.5, 1.5), heading_gain=2.0),
         terrain=replace(task.terrain, difficulty=(-0.8, 0.4)),
         curriculum=CurriculumConfig(start_level=2, hip_limit=1.5),
         observation=ObservationConfig(proprio=proprio, scan=_SMALL_SCAN),
