@@ -48,6 +48,6 @@ def course(
     return Tile(tuple(boxes), (_START, 0.0), waypoints, floor=floor, obstacle=obstacle)
 
 
-def slab(near: float, far: float, size: TileSize) -> Box:
-    """Ground from `near` to `far`, m, over the full width of the tile, as deep as a pit."""
-    return Box.between((near, -size.width / 2, -PIT), (far, size.width / 2, 0.0))
+def slab(near: float, far: float, size: TileSize, height: float = 0.0) -> Box:
+    """Ground at `height` from `near` to `far`, m, over the full width of the tile, down to the floor of a pit."""
+    return Box.between((near, -size.width / 2, -PIT), (far, size.width / 2, height))
