@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from codesign_bo.space.parameters import AnyParameter, Categorical, Continuous
 from codesign_bo.space.polytope import Polytope
-from codesign_bo.space.values import Array
+from codesign_bo.space.values import Array, real
 
 TOLERANCE = 1e-9
 """How far a sum may lie beyond its bound, relative to the largest sum of absolute terms in the box."""
@@ -39,19 +39,22 @@ class LinearConstraint:
     high: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "coefficients", {str(n): float(c) for n, c in self.coefficients.items()})
-        for key in ("low", "high"):
-            value = getattr(self, key)
-            object.__setattr__(self, key, None if value is None else float(value))
-        bad = {n: c for n, c in self.coefficients.items() if c == 0 or not math.isfinite(c)}
-        if bad or not self.coefficients:
-            raise ValueError(f"linear constraint: coefficients must be finite and not 0, got {bad or 'none'}")
-        bounds = [b for b in (self.low, self.high) if b is not None]
-        if not bounds or not all(map(math.isfinite, bounds)) or bounds != sorted(bounds):
+        numbers = {n: real(c) for n, c in self.coefficients.items()}
+        bad = [n for n, c in numbers.items() if c is None or c == 0 or not math.isfinite(c)]
+        if bad or not numbers:
             raise ValueError(
-                f"linear constraint {self}: low is {self.low}, high is {self.high}; "
+                f"linear constraint: coefficients must be finite numbers other than 0, got {dict(self.coefficients)}"
+            )
+        bounds = [real(b) for b in (self.low, self.high) if b is not None]
+        finite = [b for b in bounds if b is not None and math.isfinite(b)]
+        if not bounds or bounds != sorted(finite):
+            raise ValueError(
+                f"linear constraint of {list(numbers)}: low is {self.low!r}, high is {self.high!r}; "
                 "give one or both as finite numbers, low <= high"
             )
+        object.__setattr__(self, "coefficients", numbers)
+        for key in ("low", "high"):
+            object.__setattr__(self, key, real(getattr(self, key)))
 
     def __str__(self) -> str:
         words: list[str] = []
