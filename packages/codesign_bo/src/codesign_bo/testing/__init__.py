@@ -1,0 +1,1 @@
+"""Conformance kits for whoever writes an implementation of this package's interfaces (needs pytest)."""
