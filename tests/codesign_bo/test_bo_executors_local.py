@@ -92,6 +92,15 @@ def removes_its_folder(sent):
     return EvalResult(1.0)
 
 
+def works_in_its_folder(sent):
+    os.chdir(sent.workdir)
+    return EvalResult(1.0)
+
+
+def succeeds_at_last(sent):
+    return EvalResult(1.0) if sent.attempt == 3 else callbacks.raise_error(sent)
+
+
 count = 0
 
 
@@ -221,6 +230,13 @@ def test_a_callback_that_forks_and_returns_twice_counts_once(trials, tmp_path):
         assert outcome(executor.submit(callbacks.subclass, request(tmp_path, 1))) == EvalResult(0.5)
 
 
+def test_a_relative_work_folder_holds_although_the_callback_changes_folders(trials, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with LocalExecutor() as executor:
+        assert outcome(executor.submit(trials.works_in_its_folder, request(Path("runs"), 0))) == EvalResult(1.0)
+    assert (tmp_path / "runs" / "0" / "result-0-1.json").exists()
+
+
 def test_what_the_machine_spoils_is_lost(trials, tmp_path):
     (tmp_path / "file").touch()
     with LocalExecutor() as executor:
@@ -299,6 +315,12 @@ def test_no_attempt_takes_the_result_of_another_unless_asked(tmp_path):
     assert run(True) == again
     (tmp_path / "0" / "result-0-1.json").write_text('{"torn": ')
     assert run(True).ok
+
+
+def test_a_failure_is_not_reused(trials, tmp_path):
+    with LocalExecutor(reuse=True) as executor:
+        jobs = [executor.submit(trials.succeeds_at_last, request(tmp_path, 0, attempt=i)) for i in (1, 2, 3, 4)]
+        assert [outcome(job).status for job in jobs] == ["crash", "crash", "ok", "ok"]
 
 
 SCRIPT = """

@@ -45,16 +45,21 @@ SLURM = {
 }
 
 
-@pytest.fixture
-def slurm(tmp_path, monkeypatch):
-    """The folder of a Slurm that runs jobs on this machine."""
-    folder = tmp_path / "slurm"
-    folder.mkdir()
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """The folder of a Slurm that runs jobs on this machine; a single one, because it gives each number once."""
+    folder = tmp_path_factory.mktemp("slurm")
     for name, script in SLURM.items():
         (folder / name).write_text(f"#!/bin/sh\ncd {folder}\n{script}")
         (folder / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
     return folder
+
+
+@pytest.fixture
+def slurm(folder, monkeypatch):
+    """Slurm on the path; gives a function from a suffix to the file of the newest job."""
+    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+    return lambda suffix: folder / f"{len(list(folder.glob('*.state')))}.{suffix}"
 
 
 @pytest.fixture
@@ -68,7 +73,7 @@ def executor(slurm, tmp_path):
 def test_a_job_has_the_settings_and_is_never_requeued(executor, slurm, tmp_path):
     sent = request(tmp_path, 0)
     assert outcome(executor.submit(callbacks.echo, sent)) == callbacks.echo(sent)
-    script = (slurm / "1.script").read_text()
+    script = slurm("script").read_text()
     for flag in ("--no-requeue", "--time=90", "--mem=2GB", "--partition=gpu"):
         assert f"#SBATCH {flag}\n" in script
 
@@ -89,7 +94,7 @@ def test_the_verdict_of_slurm_tells_failures_apart(executor, slurm, tmp_path, st
     job = executor.submit(callbacks.wait_for_go, sent)
     process = begun(sent)
     os.kill(process, signal.SIGUSR2)  # Slurm's warning before a time limit or a preemption
-    (slurm / "1.state").write_text(state)
+    slurm("state").write_text(state)
     os.kill(process, signal.SIGTERM)
     result = outcome(job)
     assert result.status == kind
@@ -105,7 +110,7 @@ def test_cancelling_takes_the_job_off_the_cluster(executor, slurm, tmp_path):
     job.cancel()
     assert outcome(job).status == "lost"
     gone(process)
-    assert (slurm / "1.state").read_text().startswith("CANCELLED")
+    assert slurm("state").read_text().startswith("CANCELLED")
 
 
 def test_a_dead_process_is_a_crash_with_its_last_words(executor, tmp_path):

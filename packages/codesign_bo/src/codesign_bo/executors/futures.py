@@ -32,13 +32,14 @@ class FutureJob:
         if self._given_up:
             return CANCELLED
         try:
-            return EvalResult.from_json(self._future.result())
+            error = self._future.exception()
         except CancelledError:
             return CANCELLED
-        except BrokenExecutor:
-            return EvalResult.failure("lost", _BROKEN)
-        except Exception as error:  # evaluate() raises nothing, so this comes from the pool
-            return EvalResult.failure("lost", f"the pool failed: {error!r}")
+        if error is None:
+            return EvalResult.from_json(self._future.result())
+        # evaluate() raises nothing, so this is the pool's
+        broken = isinstance(error, BrokenExecutor)
+        return EvalResult.failure("lost", _BROKEN if broken else f"the pool failed: {error!r}")
 
     def cancel(self) -> None:
         """Give the evaluation up. If it is running, it runs on: a pool offers no way to kill it."""

@@ -47,7 +47,7 @@ class LocalExecutor(SlotExecutor):
             now and then, and memory shared between processes counts in each.
         gpus: Devices for CUDA_VISIBLE_DEVICES, one entry such as 0 or "2,3" per slot; with more slots than
             entries, slots share them.
-        reuse: Take the result that an attempt at the same evaluation (trial, design, seed and fidelity) has
+        reuse: Take the score that an attempt at the same evaluation (trial, design, seed and fidelity) has
             already left in the folder, if there is one, instead of evaluating again.
 
     Raises:
@@ -93,7 +93,8 @@ class LocalExecutor(SlotExecutor):
     def _run(self, job: SlotJob, slot: int) -> EvalResult:
         request = job.request
         for attempt in range(request.attempt, 0, -1) if self._reuse else ():
-            if (found := trial_process.read_result(request, attempt)) is not None:
+            found = trial_process.read_result(request, attempt)
+            if found is not None and found.ok:
                 return found
         deadline = math.inf if request.deadline is None else request.deadline
         seconds = min(self._timeout, deadline - time.time())

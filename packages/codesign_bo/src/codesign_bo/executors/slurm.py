@@ -76,16 +76,17 @@ class SlurmExecutor(SlotExecutor):
     def _run(self, job: SlotJob, slot: int) -> EvalResult:
         deadline = math.inf if job.request.deadline is None else job.request.deadline
         submitted = self._submitit.submit(_evaluate_in_job, job.callback, job.request)
+        ended = False
         try:
             # PREEMPTED is the end, although submitit waits for such a job to be requeued.
-            while not submitted.done() and _state(submitted) != "PREEMPTED":
+            while not (ended := submitted.done() or _state(submitted) == "PREEMPTED"):
                 if time.time() > deadline:
                     return EvalResult.failure("timeout", "the deadline passed")
                 if job.cancelled.wait(_POLL):
                     return CANCELLED
             return _outcome(submitted)
         finally:
-            if not submitted.paths.result_pickle.exists():
+            if not ended:
                 submitted.cancel(check=False)
 
 

@@ -33,11 +33,12 @@ def main(callback: Callback, request: EvalRequest, gpus: str | None, coordinator
     if gpus is not None:
         os.environ["CUDA_VISIBLE_DEVICES"] = gpus
     asked, process = request.to_json(), os.getpid()
+    path = result_path(request, request.attempt).absolute()  # the callback may change the folder it works in
     result = evaluate(callback, request)
     if os.getpid() != process:
         os._exit(0)  # the callback forked and both returned: one result is enough
     try:
-        _write(result_path(request, request.attempt), f"{asked}\n{result}\n")
+        _write(path, f"{asked}\n{result}\n")
     except OSError:
         traceback.print_exc()
         os._exit(RESULT_NOT_WRITTEN)
