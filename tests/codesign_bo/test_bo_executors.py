@@ -1,9 +1,11 @@
 """The executors that need nothing but this package pass the contract."""
 
+import subprocess
+import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import pytest
-from codesign_bo.executors import FuturesExecutor, LocalExecutor
+from codesign_bo.executors import FuturesExecutor, LocalExecutor, RayExecutor, SlurmExecutor
 from codesign_bo.testing import callbacks
 from codesign_bo.testing.executors import ExecutorContract, begun, outcome, request
 
@@ -47,14 +49,13 @@ class TestProcessPool(ExecutorContract):
             executor.submit(lambda request: None, request(tmp_path, 0))
 
 
-class NeverPool(ThreadPoolExecutor):
+class UnwillingPool(ThreadPoolExecutor):
     def submit(self, *args, **kwargs):
-        future = super().submit(int, "a worker says no")
-        return future
+        return super().submit(int, "a worker says no")
 
 
 def test_a_fault_of_the_pool_is_no_fault_of_the_design(tmp_path):
-    with FuturesExecutor(NeverPool(1), slots=1) as executor:
+    with FuturesExecutor(UnwillingPool(1), slots=1) as executor:
         result = outcome(executor.submit(callbacks.echo, request(tmp_path, 0)))
     assert result.status == "lost"
     assert "a worker says no" in result.message
@@ -65,3 +66,19 @@ def test_no_slots_are_refused():
         LocalExecutor(slots=0)
     with pytest.raises(ValueError, match="slots is 0"):
         FuturesExecutor(ThreadPoolExecutor(1), slots=0)
+
+
+@pytest.mark.parametrize(
+    ("module", "make"),
+    [("ray", lambda: RayExecutor(slots=1)), ("submitit", lambda: SlurmExecutor(1, "jobs", timeout_min=5))],
+)
+def test_a_missing_extra_is_named(module, make, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    extra = {"ray": "ray", "submitit": "slurm"}[module]
+    with pytest.raises(ImportError, match=rf"pip install 'legged-codesign-bo\[{extra}\]'"):
+        make()
+
+
+def test_clusters_are_imported_only_when_used():
+    code = "import sys, codesign_bo.executors; assert not {'ray', 'submitit'} & {*sys.modules}"
+    subprocess.run([sys.executable, "-c", code], check=True)
