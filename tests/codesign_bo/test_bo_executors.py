@@ -10,6 +10,7 @@ from codesign_bo.testing import callbacks
 from codesign_bo.testing.executors import ExecutorContract, begun, outcome, request
 
 
+@pytest.mark.slow
 class TestLocalExecutor(ExecutorContract):
     @pytest.fixture
     def executor(self):
@@ -26,6 +27,7 @@ class TestThreadPool(ExecutorContract):
             yield executor
 
 
+@pytest.mark.slow
 class TestProcessPool(ExecutorContract):
     isolated = False
 

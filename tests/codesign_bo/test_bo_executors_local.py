@@ -19,6 +19,9 @@ from codesign_bo.executors import LocalExecutor, local
 from codesign_bo.testing import callbacks
 from codesign_bo.testing.executors import begun, gone, outcome, request, until
 
+# every trial is a fresh process
+pytestmark = pytest.mark.slow
+
 GB = 10**9
 
 # --- callbacks ----------------------------------------------------------------------------------------

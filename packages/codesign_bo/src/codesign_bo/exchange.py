@@ -1,5 +1,7 @@
 """A whole study as one JSON document, for archives, other tools and other versions."""
 
+# pyright: reportArgumentType=false
+# designs are numbers here until records hold integers and categories too
 from __future__ import annotations
 
 import json

@@ -1,5 +1,7 @@
 """The order of proposals: nominal design, points queued by the user, Sobol points, then the surrogate's."""
 
+# pyright: reportArgumentType=false
+# designs are numbers here until records hold integers and categories too
 from __future__ import annotations
 
 import numpy as np

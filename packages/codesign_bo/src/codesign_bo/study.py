@@ -1,5 +1,7 @@
 """The search: ask for designs, tell their scores, recommend the best and confirm it."""
 
+# pyright: reportArgumentType=false
+# designs are numbers here until records hold integers and categories too
 from __future__ import annotations
 
 import logging
