@@ -99,6 +99,31 @@ def _chosen(kind: str, names: tuple[str, ...], known: Mapping[str, object]) -> l
     return list(dict.fromkeys(names))
 
 
+def execute(jobs: list[Job], options: Benchmark, console: Console) -> Results:
+    """All runs, those on record included, with progress on the console."""
+    columns = (TextColumn("{task.description:36}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    records = Records(options.folder / "records.jsonl")
+    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
+        task = progress.add_task("runs", total=len(jobs))
+
+        def finished(job: Job) -> None:
+            progress.update(task, advance=1, description=f"{job.problem}, {job.method}, seed {job.seed}")
+
+        try:
+            traces = run_all(jobs, records, options.processes, finished)
+        except KeyboardInterrupt:
+            sys.exit(f"interrupted; finished runs are in {records.path}, and the same command goes on")
+    return Results({job: traces[job] for job in jobs})
+
+
+def time_asks(results: Results, console: Console) -> dict[tuple[str, str], float]:
+    """Median seconds of a suggestion at 100 trials, by method and problem, of codesign-bo and its peer."""
+    methods = [method for method in (OURS, PEER) if method in results.methods]
+    problems = [problem for problem in ("noisy-hartmann4", "hartmann6") if problem in results.problems]
+    with console.status("time of a suggestion at 100 trials"):
+        return {(m, p): float(np.median(seconds)) for m, p, seconds in suggestion_times(methods, problems)}
+
+
 def main() -> None:
     """Run, print and write."""
     options, console = tyro.cli(Benchmark, description=__doc__), Console()
@@ -111,35 +136,17 @@ def main() -> None:
             OPTIMISERS[method](PROBLEMS["ackley4"].space(0), 0)
     except (ValueError, ImportError) as error:
         sys.exit(str(error))
-    columns = (TextColumn("{task.description:36}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=console) as progress:
-        task = progress.add_task("runs", total=len(jobs))
-
-        def finished(job: Job) -> None:
-            progress.update(task, advance=1, description=f"{job.problem}, {job.method}, seed {job.seed}")
-
-        traces = run_all(jobs, Records(options.folder / "records.jsonl"), options.processes, finished)
-    results = Results({job: traces[job] for job in jobs})
-    suggestions: dict[tuple[str, str], float] = {}
-    if options.suggest_time:
-        with console.status("time of a suggestion at 100 trials"):
-            methods = [method for method in (OURS, PEER) if method in results.methods]
-            problems = [problem for problem in ("noisy-hartmann4", "hartmann6") if problem in results.problems]
-            for method, problem, seconds in suggestion_times(methods, problems):
-                suggestions[method, problem] = float(np.median(seconds))
+    results = execute(jobs, options, console)
+    seconds = time_asks(results, console) if options.suggest_time else {}
 
     # only here, for the processes that run the optimisers import this file, too
-    from benchmarks.bo_report import bar_lines, slowdown_lines, table, write
+    from benchmarks.bo_report import bar_lines, slowdown_lines, suggestion_lines, table, write
 
-    found = bars(results, {problem: s for (method, problem), s in suggestions.items() if method == OURS})
-    named = {f"{method} on {problem}": s for (method, problem), s in suggestions.items()}
+    found = bars(results, {problem: value for (method, problem), value in seconds.items() if method == OURS})
     console.print(table(results))
-    for line in (*slowdown_lines(results), *(f"{n}: {s:.2f} s a suggestion at 100 trials" for n, s in named.items())):
+    for line in (*slowdown_lines(results), *suggestion_lines(seconds), *bar_lines(found)):
         console.print(line, markup=False, highlight=False)
-    for line in bar_lines(found):
-        console.print(line, markup=False, highlight=False)
-    command = shlex.join(["python", "benchmarks/bo.py", *sys.argv[1:]])
-    write(options.report, results, found, named, command)
+    write(options.report, results, found, seconds, shlex.join(["python", "benchmarks/bo.py", *sys.argv[1:]]))
     console.print(f"report in {options.report}", markup=False, highlight=False)
 
 

@@ -82,6 +82,11 @@ def slowdown_lines(results: Results) -> list[str]:
     return lines
 
 
+def suggestion_lines(seconds: Mapping[tuple[str, str], float]) -> list[str]:
+    """One line for each method and problem."""
+    return [f"{m} on {p}: {value:.2f} s for a suggestion at 100 trials" for (m, p), value in seconds.items()]
+
+
 def bar_lines(bars: Sequence[Bar]) -> list[str]:
     """One line for each bar."""
     return [f"{'met   ' if bar.met else 'MISSED'} {bar.text}: {bar.measured}" for bar in bars]
@@ -107,7 +112,7 @@ def _curves_on(ax: Axes, results: Results, problem: str) -> None:
             continue
         low, middle, high = results.curve(method, problem)
         x = np.arange(1, len(middle) + 1)
-        colour, dashes = LOOKS[method]
+        colour, dashes = LOOKS.get(method, (INK, "-."))
         own = method == OURS
         ax.plot(x, middle, dashes, color=colour, linewidth=2.4 if own else 1.5, label=method, zorder=3 if own else 2)
         if own:
@@ -123,7 +128,7 @@ def write(
     folder: Path,
     results: Results,
     bars: Sequence[Bar],
-    suggestions: Mapping[str, float],
+    seconds: Mapping[tuple[str, str], float],
     command: str,
 ) -> None:
     """Write README.md, runs.jsonl and regret.png.
@@ -132,7 +137,7 @@ def write(
         folder: Made if it is not there.
         results: Of the runs.
         bars: Of which the README tells.
-        suggestions: Seconds of a suggestion at 100 trials, by "method on problem".
+        seconds: Of a suggestion at 100 trials, by method and problem.
         command: That makes it again.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -155,7 +160,7 @@ def write(
         "![median regret against evaluations](regret.png)",
         "",
         *(f"- {line}" for line in slowdown_lines(results)),
-        *(f"- {name}: {seconds:.2f} s for a suggestion at 100 trials" for name, seconds in suggestions.items()),
+        *(f"- {line}" for line in suggestion_lines(seconds)),
         *described(command, f"{results.seeds[0]} to {results.seeds[-1]}"),
         "- libraries: " + ", ".join(f"{name} {text}" for name, text in library_versions().items()),
     ]

@@ -124,9 +124,10 @@ class Results:
         return np.array([trace.regret[-1] for trace in self.of(method, problem, workers)])
 
     def curve(self, method: str, problem: str) -> Array:
-        """Quartiles of the regret after each evaluation, (3, evaluations); infinite where too few have one."""
+        """Quartiles of the regret after each evaluation, (3, evaluations); not finite where too few have one."""
         regret = np.array([trace.regret for trace in self.of(method, problem)])
-        return np.quantile(regret, (0.25, 0.5, 0.75), axis=0, method="lower")
+        with np.errstate(invalid="ignore"):
+            return np.quantile(regret, (0.25, 0.5, 0.75), axis=0)
 
     def row(self, method: str, problem: str) -> Row:
         """The row of the table."""
