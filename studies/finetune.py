@@ -82,7 +82,7 @@ def main() -> None:
     ratios = {body: ratio(returns(cases, body, "fine-tuned"), returns(cases, body, "from scratch")) for body in BODIES}
     iterations = STUDY.config.iterations
     lines = [
-        f"From scratch: {iterations} iterations on the one body; fine-tuned: at most {round(iterations * SHARE)} from "
+        f"From scratch: {iterations} iterations on the one body; fine-tuned: at most {int(iterations * SHARE)} from "
         "the generalist. Undiscounted return of 20 s (eq. 9) of 100 robots with the same commands and starts.",
         "",
         *markdown_table(COLUMNS, rows),
@@ -124,7 +124,7 @@ def run(factory: BodyFactory, options: Options, body: tuple[float, ...], seed: i
     design, train = np.array(body), replace(STUDY.config, seed=seed)
     config = FinetuneConfig(
         num_envs=train.num_envs,
-        iterations=round(train.iterations * SHARE),
+        iterations=int(train.iterations * SHARE),
         ppo=replace(train.ppo, learning_rate=options.learning_rate),
         evaluate_every=5,
         keep_best=True,
