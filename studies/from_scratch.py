@@ -91,7 +91,7 @@ STUDIES: Mapping[str, Study] = {
     ),
     "go2-rough": Study(
         robot="go2",
-        config=TrainConfig(iterations=280, task=make_task("locomotion-rough"), ppo=MIRRORED),
+        config=TrainConfig(iterations=320, task=make_task("locomotion-rough"), ppo=MIRRORED),
         protocols={
             "hills": Protocol(on("hills"), EvalConfig(robots_per_body=10, seed=EVALUATION_SEED)),
             "8 cm steps": Protocol(
@@ -99,7 +99,7 @@ STUDIES: Mapping[str, Study] = {
                 EvalConfig(robots_per_body=2, seed=EVALUATION_SEED),
             ),
         },
-        every=40,
+        every=80,
         survival=0.90,
         error=0.15,
     ),

@@ -47,9 +47,8 @@ _PAPER_RANDOMISATION = RandomisationConfig(
     push=0.5,
     push_interval=8.0,
 )
-_SMALL_SCAN = ScanConfig(forward=(-0.45, 0.9), sideways=(-0.45, 0.45))
 _COURSE_SCAN = ScanConfig(forward=(-0.4, 0.9), sideways=(-0.3, 0.3), spacing=0.1)
-"""Narrower and finer: hurdles may be 10 cm deep."""
+"""Finer than the paper's: hurdles may be 10 cm deep, and the edge of a step is where it is."""
 _HIGH_STEPS = RewardConfig(swing_height=0.1, low_swing=-0.2)
 """Feet must rise over what they climb."""
 _PIT_FLOOR = -0.25
@@ -97,15 +96,16 @@ def _locomotion(name: str, preset: Preset) -> TaskConfig:
         )
     if name == "locomotion-flat":
         return TaskConfig()
-    # half of the paper's range is more than a laptop learns to climb
-    task = TaskConfig(name=name, terrain=replace(terrain, difficulty=(-0.5, 0.5)))
+    # half of the paper's range is more than a laptop learns to climb; a training of minutes has few episodes, so
+    # they are short and each promotion is a large step
+    task = TaskConfig(name=name, terrain=replace(terrain, difficulty=(-0.5, 0.5), levels=5), episode_seconds=10.0)
     return replace(
         task,
         reward=_HIGH_STEPS,
         # the ground under the base jumps by a step's height
         min_height=0.2,
         curriculum=CurriculumConfig(start_level=2),
-        observation=ObservationConfig(scan=_SMALL_SCAN),
+        observation=ObservationConfig(scan=_COURSE_SCAN),
         randomisation=replace(task.randomisation, reset_position=0.5),
     )
 
