@@ -93,7 +93,7 @@ STUDIES: Mapping[str, Study] = {
         robot="go2",
         config=TrainConfig(iterations=320, task=make_task("locomotion-rough"), ppo=MIRRORED),
         protocols={
-            "hills": Protocol(on("hills"), EvalConfig(robots_per_body=10, seed=EVALUATION_SEED)),
+            "hills": Protocol(on("hills"), EvalConfig(robots_per_body=2, seed=EVALUATION_SEED)),
             "8 cm steps": Protocol(
                 on("steps_up", "steps_down", difficulty=(EIGHT_CENTIMETRES, EIGHT_CENTIMETRES), levels=1),
                 EvalConfig(robots_per_body=2, seed=EVALUATION_SEED),

@@ -26,7 +26,7 @@ _TERRAINS: Mapping[str, tuple[str, ...]] = {
     "locomotion-steps": ("steps_up", "steps_down"),
     "locomotion-hills": ("hills",),
     "locomotion-slope": ("slope_up", "slope_down"),
-    "locomotion-rough": ("hills", "steps_up", "steps_down"),
+    "locomotion-rough": ("hills", "steps_up", "steps_up", "steps_down"),
     "parkour-highjump": ("hurdles", "platforms"),
     "parkour-longjump": ("long_jump",),
     "parkour-stones": ("tilted_stones",),
@@ -49,8 +49,10 @@ _PAPER_RANDOMISATION = RandomisationConfig(
 )
 _COURSE_SCAN = ScanConfig(forward=(-0.4, 0.9), sideways=(-0.3, 0.3), spacing=0.1)
 """Finer than the paper's: hurdles may be 10 cm deep, and the edge of a step is where it is."""
-_HIGH_STEPS = RewardConfig(swing_height=0.1, low_swing=-0.2)
-"""Feet must rise over what they climb."""
+_CLIMBING = RewardConfig(
+    swing_height=0.1, low_swing=-0.2, clearance=-0.5, collisions=-0.5, linear_velocity_penalty=-0.3
+)
+"""Feet must rise over what they climb and stay off its edge; climbing takes vertical velocity."""
 _PIT_FLOOR = -0.25
 """Base height at which a robot has fallen into a pit, m."""
 
@@ -96,17 +98,20 @@ def _locomotion(name: str, preset: Preset) -> TaskConfig:
         )
     if name == "locomotion-flat":
         return TaskConfig()
-    # half of the paper's range is more than a laptop learns to climb; a training of minutes has few episodes, so
-    # they are short and each promotion is a large step
-    task = TaskConfig(name=name, terrain=replace(terrain, difficulty=(-0.5, 0.5), levels=5), episode_seconds=10.0)
+    # Half of the paper's range is more than a laptop learns to climb. A training of minutes has few episodes, so they
+    # are short, each promotion is a large step, and commands lead straight across the stairs, not around below them.
     return replace(
-        task,
-        reward=_HIGH_STEPS,
+        TaskConfig(),
+        name=name,
+        episode_seconds=10.0,
+        terrain=replace(terrain, difficulty=(-0.4, 0.35), levels=5),
+        command=CommandConfig((0.0, 1.0), (0.0, 0.0), heading=(-math.pi, math.pi)),
+        reward=_CLIMBING,
         # the ground under the base jumps by a step's height
         min_height=0.2,
         curriculum=CurriculumConfig(start_level=2),
         observation=ObservationConfig(scan=_COURSE_SCAN),
-        randomisation=replace(task.randomisation, reset_position=0.5),
+        randomisation=replace(RandomisationConfig(), reset_position=0.5),
     )
 
 
@@ -150,10 +155,8 @@ def _parkour(name: str, preset: Preset) -> TaskConfig:
         terrain=replace(task.terrain, difficulty=(-0.8, 0.4)),
         curriculum=CurriculumConfig(start_level=2, hip_limit=1.5),
         observation=ObservationConfig(proprio=proprio, scan=_COURSE_SCAN),
-        # goal tracking is progress along the course; climbing and jumping take vertical velocity
-        reward=replace(
-            _HIGH_STEPS, goal_tracking=1.0, progress=0.0, clearance=-0.5, collisions=-0.5, linear_velocity_penalty=-0.3
-        ),
+        # goal tracking is progress along the course
+        reward=replace(_CLIMBING, goal_tracking=1.0, progress=0.0),
         randomisation=RandomisationConfig(reset_yaw=math.radians(15.0), reset_position=0.1),
     )
 
