@@ -61,7 +61,7 @@ GENERALISTS: Mapping[str, Generalist] = {
         )
     ),
     "go2-rough": Generalist(
-        ("runs/rough --task locomotion-rough --iterations 280 --seed 1 --mirror",),
+        ("runs/rough --task locomotion-rough --iterations 320 --seed 1 --mirror",),
         EvalConfig(robots_per_body=10, seed=SEED),
     ),
     "lite3-parkour": Generalist(
