@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import distill
 import mujoco
 import numpy as np
-from locorl import EvalConfig, LeggedEnv, Policy, evaluate, flat_scene
+from locorl import DepthConfig, EvalConfig, LeggedEnv, Policy, evaluate, flat_scene
 from locorl.env.observation import observation_layout
 from locorl.interfaces import Array
 from locorl.tasks.task import TaskConfig
@@ -59,9 +60,16 @@ def export(
 
 
 def bundle_spec(
-    factory: BodyFactory, teacher: Policy, design: Array, training: dict[str, object]
+    factory: BodyFactory,
+    teacher: Policy,
+    design: Array,
+    training: dict[str, object],
+    camera: DepthConfig | None = None,
 ) -> distill.BundleSpec:
-    """Everything that a robot needs to know besides the network, from the body and the policy's task."""
+    """Everything that a robot needs to know besides the network, from the body and the policy's task.
+
+    A seeing student needs the `camera` that it was trained with.
+    """
     task: TaskConfig = teacher.card.task
     scene = flat_scene(task.physics)
     body = factory.batch(design[None], scene)
@@ -104,7 +112,22 @@ def bundle_spec(
         action_clip=task.action_clip,
         policy_hz=1.0 / task.physics.control_dt,
         training=training,
+        camera=None if camera is None else _camera(camera),
         commit=current_commit(),
+    )
+
+
+def _camera(config: DepthConfig) -> distill.CameraSpec:
+    low, high = config.pitch
+    return distill.CameraSpec(
+        position=config.position,
+        pitch=(math.radians(low), math.radians(high)),
+        **config.intrinsics._asdict(),
+        near=config.near,
+        far=config.far,
+        raw_size=config.raw_size,
+        crop_bottom=config.crop_bottom,
+        crop_sides=config.crop_sides,
     )
 
 

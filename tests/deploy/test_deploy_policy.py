@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -56,6 +57,20 @@ def test_terms_follow_the_order_and_scale_of_the_manifest(folder, golden):
     np.testing.assert_array_equal(obs[:12], np.arange(12, dtype=np.float32))
     np.testing.assert_allclose(obs[12:24], golden["dq"][0] * 0.05, rtol=1e-6)
     np.testing.assert_allclose(obs[-3:], golden["gyro"][0] * [1, 2, 3], rtol=1e-6)
+
+
+def test_attitude_and_speed_are_terms_too(folder, golden):
+    """Against MuJoCo: yaw, then pitch, then roll."""
+    folder.manifest["observation"]["terms"][:2] = [
+        {"name": name, "source": name, "frame": "base", "unit": "SI", "size": size, "scale": 2.0}
+        for name, size in (("roll_pitch", 2), ("commanded_speed", 1))
+    ]
+    folder.manifest["policy"]["inputs"]["obs"] = [1, 42]
+    bundle, quat = load_bundle(folder.seal()), np.zeros(4)
+    mujoco.mju_euler2Quat(quat, [0.9, -0.3, 0.2], "zyx")
+    state = replace(state_of(golden, 0), quat_wxyz=quat)
+    obs = ObservationBuilder(bundle).build(state, np.array([0.7, 0.1, 0.3]), np.zeros(12))
+    np.testing.assert_allclose(obs[:3], [2 * 0.2, 2 * -0.3, 2 * 0.7], atol=1e-6)
 
 
 def test_recurrent_state_is_fed_back_and_reset(bundle_dir, golden):

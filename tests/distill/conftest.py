@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
 from distill import BundleSpec, JointSpec, ObservationTerm, Student, StudentConfig
 from torch import Tensor, nn
+
+sys.path.insert(0, str(Path(__file__).parent))  # importlib mode does not
 
 WIDTH = 12
 

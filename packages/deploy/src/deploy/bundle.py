@@ -95,6 +95,8 @@ def _verify_files(root: Path, hashes: Mapping[str, str]) -> None:
 
 def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None:
     """What the schema cannot say: parts of the manifest that must agree with each other."""
+    if "depth" in m:
+        raise BundleError(f"{path}: the policy needs a depth camera; this deploy runs blind ones: export one of those")
     count = len(bundle.joints)
     sizes = {
         "base_angular_velocity": 3,
@@ -103,6 +105,8 @@ def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None
         "joint_position_error": count,
         "joint_velocity": count,
         "last_action": count,
+        "roll_pitch": 2,
+        "commanded_speed": 1,
     }
     listed = [
         *(bundle.robot.urdf, bundle.robot.mjcf, bundle.robot.scene, bundle.policy.file, bundle.golden.file),
@@ -123,7 +127,9 @@ def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None
         if joint.kp == 0:
             problems.append(f"joint {joint.name}: kp is 0, a position target would do nothing")
     for term in bundle.terms:
-        if term.size != sizes[term.source]:
+        if term.source not in sizes:
+            problems.append(f"term {term.name}: this deploy cannot give {term.source}")
+        elif term.size != sizes[term.source]:
             problems.append(f"term {term.name}: size {term.size}, but {term.source} has {sizes[term.source]}")
         if len(term.scale) != term.size:
             problems.append(f"term {term.name}: {len(term.scale)} scale factors for size {term.size}")

@@ -40,9 +40,12 @@ class ObservationBuilder:
             command: (vx, vy, yaw_rate), base frame, m/s and rad/s.
             last_action: Previous action after clipping, shape (12,); zeros at the start.
         """
+        gravity = projected_gravity(state.quat_wxyz)
         values = {
             "base_angular_velocity": state.gyro,
-            "projected_gravity": projected_gravity(state.quat_wxyz),
+            "projected_gravity": gravity,
+            "roll_pitch": np.array([np.arctan2(-gravity[1], -gravity[2]), np.arcsin(np.clip(gravity[0], -1.0, 1.0))]),
+            "commanded_speed": command[:1],
             "command": command,
             "joint_position_error": state.q - self._stance,
             "joint_velocity": state.dq,

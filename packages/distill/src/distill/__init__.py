@@ -1,5 +1,18 @@
 """Distil a privileged legged-robot policy into a student on onboard sensing, exported as a bundle."""
 
+from distill.adaptation import (
+    AdaptationConfig,
+    AdaptationModule,
+    AdaptedTeacher,
+    Identification,
+    RegularisedAdaptation,
+    RoaSchedule,
+    VelocityEstimation,
+    build_adaptation,
+    identify,
+    load_adaptation,
+    save_adaptation,
+)
 from distill.checkpoint import load_student
 from distill.errors import (
     BundleError,
@@ -12,18 +25,35 @@ from distill.errors import (
 from distill.export import export_bundle
 from distill.golden import RawStates
 from distill.imitation import LossWeights
-from distill.interfaces import PrivilegedTeacher, StudentEnv, Teacher
+from distill.interfaces import PrivilegedTeacher, ScanTeacher, StudentEnv, Teacher, VisionEnv
 from distill.policy import StudentPolicy
-from distill.spec import BundleSpec, JointSpec, ObservationTerm
+from distill.spec import BundleSpec, CameraSpec, JointSpec, ObservationTerm
 from distill.student import Student, StudentConfig, build_student
 from distill.train import TrainConfig, train
 from distill.verify import Verification, verify_bundle
+from distill.vision import (
+    DepthEncoderConfig,
+    VisionPolicy,
+    VisionStudent,
+    VisionStudentConfig,
+    VisionTrainConfig,
+    build_vision_student,
+    load_vision_student,
+    train_vision,
+)
+from distill.vision.export import export_vision_bundle
 
 __all__ = [
+    "AdaptationConfig",
+    "AdaptationModule",
+    "AdaptedTeacher",
     "BundleError",
     "BundleSpec",
+    "CameraSpec",
     "CheckpointError",
+    "DepthEncoderConfig",
     "DistillError",
+    "Identification",
     "InterfaceError",
     "JointSpec",
     "LossWeights",
@@ -31,6 +61,9 @@ __all__ = [
     "PrivilegedTeacher",
     "ProviderError",
     "RawStates",
+    "RegularisedAdaptation",
+    "RoaSchedule",
+    "ScanTeacher",
     "Student",
     "StudentConfig",
     "StudentEnv",
@@ -38,10 +71,24 @@ __all__ = [
     "Teacher",
     "TrainConfig",
     "TrainingDiverged",
+    "VelocityEstimation",
     "Verification",
+    "VisionEnv",
+    "VisionPolicy",
+    "VisionStudent",
+    "VisionStudentConfig",
+    "VisionTrainConfig",
+    "build_adaptation",
     "build_student",
+    "build_vision_student",
     "export_bundle",
+    "export_vision_bundle",
+    "identify",
+    "load_adaptation",
     "load_student",
+    "load_vision_student",
+    "save_adaptation",
     "train",
+    "train_vision",
     "verify_bundle",
 ]

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -55,6 +56,17 @@ def load(path: Path) -> dict[str, object]:
         found = payload.get("format") if isinstance(payload, dict) else type(payload).__name__
         raise CheckpointError(f"{path}: checkpoint format {found}; this version of distill reads format {FORMAT}")
     return payload
+
+
+def table(value: object) -> dict[str, Any]:
+    """A part of a checkpoint that must be a table.
+
+    Raises:
+        TypeError: it is something else.
+    """
+    if not isinstance(value, dict):
+        raise TypeError(f"expected a table, found {type(value).__name__}")
+    return value
 
 
 def student_payload(student: Student) -> dict[str, object]:

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from distill.errors import DistillError
 from distill.evaluate import Score, evaluate
+from distill.inspection import print_bundle
 from distill.policy import StudentPolicy
 from distill.providers import load_teacher, make_env
 from distill.student import StudentConfig
@@ -73,6 +74,18 @@ class Verify:
             console.print(f"  {name}: within {error:.1e} of the golden trace over {found.ticks} ticks")
 
 
+@dataclass(frozen=True)
+class Inspect:
+    """Explain a bundle: what robot it is for, what it needs, what it is told and what it gives."""
+
+    bundle: Annotated[Path, tyro.conf.Positional]
+    """Folder of the bundle."""
+
+    def run(self, console: Console) -> None:
+        """Check it and print what it is."""
+        print_bundle(self.bundle, console)
+
+
 def parse_options(options: tuple[str, ...]) -> dict[str, object]:
     """Read key=value pairs; a value that is JSON is read as JSON, any other as text.
 
@@ -102,7 +115,7 @@ def _comparison(scores: dict[str, Score]) -> Table:
 def main() -> None:
     """Entry point of the command."""
     command = tyro.extras.subcommand_cli_from_dict(
-        {"train": Train, "verify": Verify}, prog="distill", description=__doc__
+        {"train": Train, "verify": Verify, "inspect": Inspect}, prog="distill", description=__doc__
     )
     try:
         command.run(Console())

@@ -3,12 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
-from distill.interfaces import StudentEnv, Teacher
-from distill.policy import StudentPolicy
+from distill.interfaces import Observation, StudentEnv, Teacher
+
+
+@runtime_checkable
+class MemoryPolicy(Protocol):
+    """A student as a policy, blind or seeing."""
+
+    @property
+    def velocity(self) -> Tensor:
+        """Base velocity (N, 3) estimated by the last `act`, base frame, m/s."""
+        ...
+
+    def act(self, obs: Observation) -> Tensor:
+        """Action, (N, 12)."""
+        ...
+
+    def reset(self, done: Tensor | None = None) -> None:
+        """Forget what the robots in `done` ((N,) bool), or all of them, know."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -27,7 +45,7 @@ class Score:
 
 
 @torch.no_grad()
-def evaluate(env: StudentEnv, policy: StudentPolicy | Teacher, steps: int, seed: int) -> Score:
+def evaluate(env: StudentEnv, policy: MemoryPolicy | Teacher, steps: int, seed: int) -> Score:
     """Roll a policy with its mean action.
 
     Args:
@@ -36,7 +54,7 @@ def evaluate(env: StudentEnv, policy: StudentPolicy | Teacher, steps: int, seed:
         steps: horizon in control steps.
         seed: of the episodes; give student and teacher the same.
     """
-    student = policy if isinstance(policy, StudentPolicy) else None
+    student = policy if isinstance(policy, MemoryPolicy) else None
     obs = env.reset(seed=seed)
     if student:
         student.reset()

@@ -8,11 +8,12 @@ import os
 import shutil
 import tempfile
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from distill.errors import BundleError
 from distill.golden import RawStates, plausible_states, record
@@ -60,6 +61,16 @@ def export_bundle(out_dir: Path, student: Student, spec: BundleSpec, states: Raw
         raise BundleError(
             f"the observation terms add up to {spec.proprio} elements, the student reads {student.proprio}"
         )
+    return write_bundle(out_dir, lambda folder: _fill(folder, copy.deepcopy(student).cpu().eval(), spec, states))
+
+
+def write_bundle(out_dir: Path, fill: Callable[[Path], None]) -> Path:
+    """Have `fill` write every file of a bundle into an empty folder, verify it, and put it in place of `out_dir`.
+
+    Raises:
+        BundleError: the bundle is not right, `out_dir` holds something else, or the disk is full; what was there
+            stays.
+    """
     _recover(out_dir)
     if out_dir.exists() and not (out_dir / MANIFEST).is_file() and any(out_dir.iterdir()):
         raise BundleError(f"{out_dir}: holds something other than a bundle; choose another folder")
@@ -67,7 +78,7 @@ def export_bundle(out_dir: Path, student: Student, spec: BundleSpec, states: Raw
     staging = Path(tempfile.mkdtemp(prefix=f".{out_dir.name}.", dir=out_dir.parent))
     try:
         staging.chmod(0o755)
-        _fill(staging, copy.deepcopy(student).cpu().eval(), spec, states)
+        fill(staging)
         verify_bundle(staging)
         _replace(staging, out_dir)
     except OSError as error:
@@ -79,8 +90,7 @@ def export_bundle(out_dir: Path, student: Student, spec: BundleSpec, states: Raw
 
 def _fill(folder: Path, student: Student, spec: BundleSpec, states: RawStates | None) -> None:
     """Write every file; the manifest comes last."""
-    for name, text in ((URDF, spec.urdf), (ROBOT, spec.robot_xml), (SCENE, spec.scene_xml)):
-        (folder / name).write_text(text, encoding="utf-8")
+    write_body(folder, spec)
     history = student.config.history
     example = (torch.zeros(1, student.proprio), torch.zeros(1, history, student.proprio))
     save_onnx(student, example, folder / ONNX)
@@ -92,8 +102,29 @@ def _fill(folder: Path, student: Student, spec: BundleSpec, states: RawStates | 
     write_manifest(build_manifest(spec, history, len(trace["obs"]), folder), folder / MANIFEST)
 
 
+def write_body(folder: Path, spec: BundleSpec) -> None:
+    """Write URDF, MJCF and scene."""
+    for name, text in ((URDF, spec.urdf), (ROBOT, spec.robot_xml), (SCENE, spec.scene_xml)):
+        (folder / name).write_text(text, encoding="utf-8")
+
+
 def save_onnx(student: Student, example: tuple[Tensor, ...], path: Path) -> None:
     """Write the student as one ONNX file, weights inside."""
+    save_network(student, example, path, ["obs", "history_in"], ["action", "velocity", "history_out"])
+
+
+def save_network(
+    module: nn.Module, example: tuple[Tensor, ...], path: Path, inputs: list[str], outputs: list[str]
+) -> None:
+    """Write a network as one ONNX file, weights inside.
+
+    Args:
+        module: the network.
+        example: its inputs, batch 1.
+        path: the file.
+        inputs: names of the inputs.
+        outputs: names of the outputs.
+    """
     # The exporter reports every optional package that it does without, and its own use of old names.
     log = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = log.level
@@ -102,14 +133,14 @@ def save_onnx(student: Student, example: tuple[Tensor, ...], path: Path) -> None
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", category=FutureWarning)
             torch.onnx.export(
-                student,
+                module,
                 example,
                 path,
                 dynamo=True,
                 external_data=False,
                 opset_version=OPSET,
-                input_names=["obs", "history_in"],
-                output_names=["action", "velocity", "history_out"],
+                input_names=inputs,
+                output_names=outputs,
                 verbose=False,
             )
     finally:

@@ -33,6 +33,7 @@ class RawStates:
         dq: (T, 12) joint velocities, rad/s.
         command: (T, 3) vx, vy, yaw rate; base frame, m/s and rad/s.
         reset: (T,) bool; True where memory and last action are cleared before the tick.
+        contact: (T, 4) bool, feet that touch the ground; None: unknown, read as none.
     """
 
     quat_wxyz: Floats
@@ -41,6 +42,7 @@ class RawStates:
     dq: Floats
     command: Floats
     reset: NDArray[np.bool_]
+    contact: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         ticks = len(self.reset)
@@ -50,6 +52,8 @@ class RawStates:
                 raise BundleError(f"raw states: {name} has shape {array.shape}, expected {(ticks, width)}")
             if not np.isfinite(array).all():
                 raise BundleError(f"raw states: {name} holds values that are not finite")
+        if self.contact is not None and self.contact.shape != (ticks, 4):
+            raise BundleError(f"raw states: contact has shape {self.contact.shape}, expected {(ticks, 4)}")
         if ticks == 0 or not self.reset[0] or not self.reset[1:].any():
             raise BundleError("raw states: a golden trace has a reset at tick 0 and another one later")
 
@@ -66,7 +70,9 @@ def plausible_states(spec: BundleSpec, ticks: int = TICKS, seed: int = 0) -> Raw
     reset = np.zeros(ticks, dtype=np.bool_)
     reset[[0, half]] = True
     quat_wxyz, gyro, q, dq, command = (np.concatenate(parts) for parts in zip(*episodes, strict=True))
-    return RawStates(quat_wxyz, gyro, q, dq, command, reset)
+    # a stream of its own: what is drawn for other sensors does not depend on it
+    contact = np.random.default_rng((seed, 1)).random((ticks, 4)) < 0.6
+    return RawStates(quat_wxyz, gyro, q, dq, command, reset, contact)
 
 
 def _episode(spec: BundleSpec, ticks: int, rng: np.random.Generator) -> tuple[Floats, ...]:
@@ -126,9 +132,16 @@ def projected_gravity(quat_wxyz: Floats) -> Floats:
 def observe(spec: BundleSpec, states: RawStates, tick: int, last_action: Floats) -> NDArray[np.float32]:
     """The observation (P,) of one tick; `last_action` (12,) is the previous action after clipping."""
     stance = np.array([joint.stance for joint in spec.joints])
+    gravity, contact = projected_gravity(states.quat_wxyz[tick]), states.contact
+    unknown = np.zeros(1)
     sources: dict[str, Floats] = {
         "base_angular_velocity": states.gyro[tick],
-        "projected_gravity": projected_gravity(states.quat_wxyz[tick]),
+        "projected_gravity": gravity,
+        "roll_pitch": np.array((np.arctan2(-gravity[1], -gravity[2]), np.arcsin(np.clip(gravity[0], -1.0, 1.0)))),
+        "heading_error": unknown,
+        "next_heading_error": unknown,
+        "commanded_speed": states.command[tick, :1],
+        "foot_contact": (np.zeros(4) if contact is None else contact[tick]) - 0.5,
         "command": states.command[tick],
         "joint_position_error": states.q[tick] - stance,
         "joint_velocity": states.dq[tick],
@@ -142,6 +155,13 @@ def clip(spec: BundleSpec, action: NDArray[np.float32]) -> Floats:
     """The action (12,) after the limit of the specification."""
     limit = np.inf if spec.action_clip is None else spec.action_clip
     return np.clip(action.astype(np.float64), -limit, limit)
+
+
+def recorded(states: RawStates) -> dict[str, NDArray[Any]]:
+    """The raw states as arrays of `golden.npz`."""
+    names = ("quat_wxyz", "gyro", "q", "dq", "command", "reset")
+    contact = {} if states.contact is None else {"contact": states.contact}
+    return {**{name: getattr(states, name) for name in names}, **contact}
 
 
 def record(spec: BundleSpec, states: RawStates, runtime: PolicyRuntime) -> dict[str, NDArray[Any]]:
@@ -162,7 +182,7 @@ def record(spec: BundleSpec, states: RawStates, runtime: PolicyRuntime) -> dict[
         last_action = clip(spec, actions[-1])
         targets.append(offset + spec.action_scale * last_action)
     return {
-        **{name: getattr(states, name) for name in ("quat_wxyz", "gyro", "q", "dq", "command", "reset")},
+        **recorded(states),
         "obs": np.stack(observations),
         "action": np.stack(actions),
         "target": np.stack(targets),

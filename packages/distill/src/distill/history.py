@@ -19,6 +19,20 @@ def push(history: Tensor, obs: Tensor) -> Tensor:
     return torch.cat((history[:, 1:], obs.unsqueeze(1)), dim=1)
 
 
+def begin(history: Tensor, obs: Tensor) -> Tensor:
+    """Fill histories that are empty, as they are when an episode starts, with the present frame.
+
+    A history is empty if its newest frame is all zeros, which no frame of a robot is: the direction of gravity is
+    part of it. The rule lies in the network, so that every runtime starts from zeros.
+
+    Args:
+        history: (B, H, P), oldest first.
+        obs: (B, P).
+    """
+    empty = (history[:, -1:] == 0.0).all(dim=2, keepdim=True)
+    return torch.where(empty, obs.unsqueeze(1), history)
+
+
 class HistoryBuffer:
     """The history of N robots, forgotten where an episode ends.
 

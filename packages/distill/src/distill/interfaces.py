@@ -97,6 +97,51 @@ class PrivilegedTeacher(Protocol):
         ...
 
 
+@runtime_checkable
+class ScanTeacher(PrivilegedTeacher, Protocol):
+    """A teacher that sees the terrain: its actor maps [proprio, scan latent, explicit, latent] to the mean action."""
+
+    @property
+    def scan_latent_dim(self) -> int:
+        """S, width of the scan latent; 0 for a policy without one."""
+        ...
+
+    def scan_latent(self, obs: Observation) -> Tensor:
+        """Latent (N, S) of the terrain around the robot, within +-1, without gradient."""
+        ...
+
+
+class VisionEnv(StudentEnv, Protocol):
+    """Robots with a depth camera and a way to go.
+
+    The group "proprio" holds the oracle headings: directions to the next waypoints as seen from the robot, rad, which
+    no sensor gives. They may be refreshed as rarely as the camera takes images.
+    """
+
+    @property
+    def heading(self) -> slice:
+        """Columns of the oracle headings in "proprio"."""
+        ...
+
+    @property
+    def depth_shape(self) -> tuple[int, int]:
+        """Rows and columns of an image."""
+        ...
+
+    @property
+    def depth_period(self) -> int:
+        """Control steps between two images; the first one is taken at the reset."""
+        ...
+
+    @property
+    def depth(self) -> Tensor:
+        """The images (N, rows, columns) taken last, from -0.5 (near) to 0.5 (far, or nothing), without any latency.
+
+        At every `depth_period`th step they are of that very instant.
+        """
+        ...
+
+
 def check_env(env: StudentEnv) -> None:
     """Check the observation groups of an environment.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import cache
 from importlib import resources
@@ -29,10 +29,56 @@ ATOL = 1e-5
 
 MANIFEST = "manifest.json"
 ONNX, TORCHSCRIPT, GOLDEN = "policy.onnx", "policy.ts.pt", "golden.npz"
+DEPTH_ONNX, DEPTH_TORCHSCRIPT = "depth_encoder.onnx", "depth_encoder.ts.pt"
+TIMING = (
+    "tick t counts policy steps since the start; where t is a multiple of period_ticks, image and obs of tick t enter "
+    "the network; its outputs enter the policy from tick t + latency_ticks on, until the next ones do; zeros before"
+)
+IMAGE_RULE = "(clip(depth, near, far) - near) / (far - near) - 0.5"
 URDF, ROBOT, SCENE = "robot.urdf", "robot.xml", "scene.xml"
 
 
-def build_manifest(spec: BundleSpec, history: int, ticks: int, folder: Path) -> dict[str, object]:
+@dataclass(frozen=True)
+class SeeingPart:
+    """What a manifest says of a seeing policy beside its camera.
+
+    Attributes:
+        shape: rows and columns of an image.
+        terrain: S, width of the terrain latent.
+        headings: K, number of headings.
+        memory: M, width of the depth encoder's state.
+        period_ticks: control steps between two images.
+        latency_ticks: control steps from an image to its use.
+        heading_limit: largest heading that is predicted, rad.
+    """
+
+    shape: tuple[int, int]
+    terrain: int
+    headings: int
+    memory: int
+    period_ticks: int
+    latency_ticks: int
+    heading_limit: float
+
+    @classmethod
+    def of(cls, manifest: Mapping[str, Any]) -> SeeingPart:
+        """That of a manifest that keeps the schema and has a section "depth"."""
+        depth = manifest["depth"]
+        _, rows, columns = depth["inputs"]["depth"]
+        return cls(
+            (rows, columns),
+            depth["outputs"]["terrain"][-1],
+            depth["outputs"]["heading"][-1],
+            depth["state"][0]["shape"][-1],
+            depth["period_ticks"],
+            depth["latency_ticks"],
+            depth["heading"]["limit"],
+        )
+
+
+def build_manifest(
+    spec: BundleSpec, history: int, ticks: int, folder: Path, seeing: SeeingPart | None = None
+) -> dict[str, object]:
     """Describe the files already written to `folder`.
 
     Args:
@@ -40,7 +86,44 @@ def build_manifest(spec: BundleSpec, history: int, ticks: int, folder: Path) -> 
         history: H of the network.
         ticks: length of the golden trace.
         folder: the bundle, complete but for its manifest.
+        seeing: the depth encoder; None for a blind policy.
     """
+    manifest = _blind_manifest(spec, history, ticks, folder)
+    if seeing is None:
+        return manifest
+    terrain, heading = [1, seeing.terrain], [1, seeing.headings]
+    manifest["rates"]["depth_hz"] = spec.policy_hz / seeing.period_ticks
+    manifest["policy"]["inputs"] |= {"terrain": terrain, "heading": heading}
+    return {**manifest, "depth": _depth_section(spec, seeing)}
+
+
+def _depth_section(spec: BundleSpec, seeing: SeeingPart) -> dict[str, object]:
+    assert spec.camera is not None
+    camera = asdict(spec.camera)
+    return {
+        "file": DEPTH_ONNX,
+        "torchscript": DEPTH_TORCHSCRIPT,
+        "inputs": {"depth": [1, *seeing.shape], "obs": [1, spec.proprio]},
+        "outputs": {"terrain": [1, seeing.terrain], "heading": [1, seeing.headings]},
+        "state": [
+            {
+                "input": "memory_in",
+                "output": "memory_out",
+                "shape": [1, seeing.memory],
+                "init": "zeros",
+                "reset": "start",
+            }
+        ],
+        "period_ticks": seeing.period_ticks,
+        "latency_ticks": seeing.latency_ticks,
+        "timing": TIMING,
+        "image": {"rows": seeing.shape[0], "columns": seeing.shape[1], "rule": IMAGE_RULE, "invalid": "far"},
+        "camera": {name: list(value) if isinstance(value, tuple) else value for name, value in camera.items()},
+        "heading": {"limit": seeing.heading_limit, "unit": "rad", "frame": "base, about the vertical"},
+    }
+
+
+def _blind_manifest(spec: BundleSpec, history: int, ticks: int, folder: Path) -> dict[str, Any]:
     return {
         "schema_version": SCHEMA_VERSION,
         "name": spec.name,

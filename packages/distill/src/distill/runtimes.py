@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import onnxruntime
@@ -20,6 +20,8 @@ from torch import Tensor, nn
 
 Array = NDArray[np.float32]
 Shape = Sequence[int]
+Network: TypeAlias = Callable[[list[Array]], list[Array]]
+"""Inputs in order -> outputs in order, batch 1."""
 
 
 class Output(NamedTuple):
@@ -54,12 +56,10 @@ class TorchRuntime(PolicyRuntime):
 
     def __init__(self, module: nn.Module, state_shapes: Sequence[Shape]) -> None:
         super().__init__(state_shapes)
-        self._module = module
+        self._network = torch_network(module)
 
-    @torch.no_grad()
     def _forward(self, inputs: list[Array]) -> list[Array]:
-        outputs: tuple[Tensor, ...] = self._module(*(torch.from_numpy(array) for array in inputs))
-        return [output.numpy() for output in outputs]
+        return self._network(inputs)
 
 
 class OnnxRuntime(PolicyRuntime):
@@ -67,14 +67,34 @@ class OnnxRuntime(PolicyRuntime):
 
     def __init__(self, path: Path, state_shapes: Sequence[Shape]) -> None:
         super().__init__(state_shapes)
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = 1
-        self._session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-        self._inputs = [item.name for item in self._session.get_inputs()]
+        self._network = onnx_network(path)
 
     def _forward(self, inputs: list[Array]) -> list[Array]:
-        outputs = self._session.run(None, dict(zip(self._inputs, inputs, strict=True)))
-        return [np.asarray(output) for output in outputs]
+        return self._network(inputs)
+
+
+def torch_network(module: nn.Module) -> Network:
+    """A torch module on the CPU as a function of arrays."""
+
+    @torch.no_grad()
+    def run(inputs: list[Array]) -> list[Array]:
+        outputs: tuple[Tensor, ...] = module(*(torch.from_numpy(array) for array in inputs))
+        return [output.numpy() for output in outputs]
+
+    return run
+
+
+def onnx_network(path: Path) -> Network:
+    """An ONNX file as a function of arrays, run by onnxruntime on one CPU thread."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    names = [item.name for item in session.get_inputs()]
+
+    def run(inputs: list[Array]) -> list[Array]:
+        return [np.asarray(output) for output in session.run(None, dict(zip(names, inputs, strict=True)))]
+
+    return run
 
 
 def replay(runtime: PolicyRuntime, obs: Array, reset: NDArray[np.bool_]) -> Output:

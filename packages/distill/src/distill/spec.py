@@ -17,6 +17,11 @@ Source: TypeAlias = Literal[
     "joint_position_error",
     "joint_velocity",
     "last_action",
+    "roll_pitch",
+    "heading_error",
+    "next_heading_error",
+    "commanded_speed",
+    "foot_contact",
 ]
 
 SOURCE_SIZES: Mapping[Source, int] = {
@@ -26,8 +31,48 @@ SOURCE_SIZES: Mapping[Source, int] = {
     "joint_position_error": ACTIONS,
     "joint_velocity": ACTIONS,
     "last_action": ACTIONS,
+    "roll_pitch": 2,
+    "heading_error": 1,
+    "next_heading_error": 1,
+    "commanded_speed": 1,
+    "foot_contact": 4,
 }
 """Elements of each observation source."""
+
+HEADINGS: tuple[Source, ...] = ("heading_error", "next_heading_error")
+"""Sources that no sensor gives: a seeing policy predicts them, and does not read them."""
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """The depth camera that a policy was trained with.
+
+    An image is made of the sensor's by cropping and resizing, so the intrinsics are those of the image, px; pixel
+    (row i, column j) looks through (j + 0.5, i + 0.5).
+    """
+
+    position: tuple[float, float, float]
+    """In the base frame, m."""
+    pitch: tuple[float, float]
+    """Trained range of the mount's pitch, rad; positive looks down."""
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    near: float
+    """Depths below are clipped to this, m."""
+    far: float
+    """Depths above, and pixels without a measurement, read this, m."""
+    raw_size: tuple[int, int]
+    """Rows and columns of the sensor."""
+    crop_bottom: int = 0
+    """Rows of the sensor that the image leaves out below."""
+    crop_sides: int = 0
+    """Columns of the sensor that the image leaves out on the left, and as many on the right."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.near < self.far or min(self.fx, self.fy) <= 0.0:
+            raise BundleError(f"camera: need 0 <= near < far and fx, fy > 0, got {self}")
 
 
 @dataclass(frozen=True)
@@ -112,6 +157,8 @@ class BundleSpec:
     """Orientation of the base at the stance."""
     training: Mapping[str, object] = field(default_factory=dict)
     """Provenance: JSON of any shape."""
+    camera: CameraSpec | None = None
+    """Depth camera of a seeing policy; None for a blind one."""
     commit: str | None = None
     """Version-control commit of the code that trained the policy."""
 
@@ -148,6 +195,11 @@ class BundleSpec:
                 yield f"observation term '{term.name}' has {len(term.scale)} scales for {term.size} elements"
 
     def _other_problems(self) -> Iterator[str]:
+        if self.camera is None and any(term.source in HEADINGS for term in self.observation):
+            yield (
+                "the observation holds headings, which no sensor gives: a blind policy that reads them cannot leave "
+                "the simulator; train a seeing student, and name its camera"
+            )
         for name in ("urdf", "robot_xml", "scene_xml"):
             if not getattr(self, name).strip():
                 yield f"{name} is empty; give the text of the file"

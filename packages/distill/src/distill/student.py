@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from torch import Tensor, nn
 from distill.errors import InterfaceError
 from distill.history import push
 from distill.interfaces import ACTIONS, VELOCITY, PrivilegedTeacher, Teacher
+from distill.networks import HistoryEncoder, mlp
 
 
 @dataclass(frozen=True)
@@ -45,35 +47,6 @@ class Inference(NamedTuple):
     latent: Tensor
 
 
-class HistoryEncoder(nn.Module):
-    """Features of a window of frames: (B, H, P) -> (B, F)."""
-
-    kernels = (4, 3)
-    stride = 2
-
-    def __init__(self, proprio: int, config: StudentConfig) -> None:
-        super().__init__()
-        self.frame = nn.Sequential(nn.Linear(proprio, config.frame_features), nn.ELU())
-        layers: list[nn.Module] = []
-        channels, length = config.frame_features, config.history
-        for index, width in enumerate(config.channels):
-            kernel = min(self.kernels[min(index, len(self.kernels) - 1)], length)
-            # Padded at the old end, so that the stride never leaves out the newest frames.
-            padding = -(length - kernel) % self.stride
-            layers += [
-                nn.ConstantPad1d((padding, 0), 0.0),
-                nn.Conv1d(channels, width, kernel, self.stride),
-                nn.ELU(),
-            ]
-            channels, length = width, (length + padding - kernel) // self.stride + 1
-        self.time = nn.Sequential(*layers)
-        self.features = nn.Sequential(nn.Linear(channels * length, config.encoder_features), nn.ELU())
-
-    def forward(self, history: Tensor) -> Tensor:
-        """Encode `history` (B, H, P), oldest first."""
-        return self.features(self.time(self.frame(history).transpose(1, 2)).flatten(1))
-
-
 class Student(nn.Module):
     """A policy on onboard sensing.
 
@@ -92,7 +65,9 @@ class Student(nn.Module):
         if config.history < 1:
             raise ValueError(f"StudentConfig.history is {config.history}; it must be at least 1")
         self.proprio, self.config = proprio, config
-        self.encoder = HistoryEncoder(proprio, config)
+        self.encoder = HistoryEncoder(
+            proprio, config.history, config.frame_features, config.channels, config.encoder_features
+        )
         self.velocity = nn.Linear(config.encoder_features, VELOCITY)
         self.latent = nn.Linear(config.encoder_features, config.latent_dim)
         self.actor = actor or mlp(proprio + VELOCITY + config.latent_dim, config.actor_hidden, ACTIONS)
@@ -120,15 +95,6 @@ class Student(nn.Module):
         return action, velocity, history
 
 
-def mlp(inputs: int, hidden: tuple[int, ...], outputs: int) -> nn.Sequential:
-    """A fully connected network with ELU between its layers."""
-    layers: list[nn.Module] = []
-    for width in hidden:
-        layers += [nn.Linear(inputs, width), nn.ELU()]
-        inputs = width
-    return nn.Sequential(*layers, nn.Linear(inputs, outputs))
-
-
 def build_student(proprio: int, teacher: Teacher, config: StudentConfig, device: torch.device | str = "cpu") -> Student:
     """Make a student for a teacher; its backbone starts as a copy of the teacher's actor, if there is one.
 
@@ -144,17 +110,33 @@ def build_student(proprio: int, teacher: Teacher, config: StudentConfig, device:
     if not isinstance(teacher, PrivilegedTeacher):
         return Student(proprio, config).to(device)
     config = replace(config, latent_dim=teacher.latent_dim)
-    actor = copy.deepcopy(teacher.actor).requires_grad_(True)
-    student = Student(proprio, config, actor).to(device)
-    width = proprio + VELOCITY + config.latent_dim
+    student = Student(proprio, config, copy_actor(teacher)).to(device)
+    check_actor(student.actor, {"proprio": proprio, "velocity": VELOCITY, "latent": config.latent_dim}, device)
+    return student
+
+
+def copy_actor(teacher: PrivilegedTeacher) -> nn.Module:
+    """A copy of the teacher's actor to go on training, which leaves the teacher alone."""
+    return copy.deepcopy(teacher.actor).requires_grad_(True)
+
+
+def check_actor(actor: nn.Module, inputs: Mapping[str, int], device: torch.device | str) -> None:
+    """Check what the actor of a teacher reads and gives.
+
+    Args:
+        actor: the network.
+        inputs: name and width of each part of its input, in order.
+        device: where it lives.
+
+    Raises:
+        InterfaceError: it does not map them, side by side, to 12 actions.
+    """
+    width = sum(inputs.values())
     try:
         with torch.no_grad():
-            shape = tuple(student.actor(torch.zeros(1, width, device=device)).shape)
+            shape = tuple(actor(torch.zeros(1, width, device=device)).shape)
     except RuntimeError as error:
-        raise InterfaceError(
-            f"the teacher's actor does not accept [proprio {proprio}, velocity {VELOCITY}, "
-            f"latent {config.latent_dim}] = {width} inputs: {error}"
-        ) from error
+        parts = ", ".join(f"{name} {size}" for name, size in inputs.items())
+        raise InterfaceError(f"the teacher's actor does not accept [{parts}] = {width} inputs: {error}") from error
     if shape != (1, ACTIONS):
         raise InterfaceError(f"the teacher's actor gives shape {shape}, expected (1, {ACTIONS})")
-    return student

@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import nn
@@ -23,9 +21,8 @@ from distill.collect import Collector
 from distill.errors import CheckpointError, TrainingDiverged
 from distill.imitation import LossWeights, imitation_loss
 from distill.interfaces import ACTIONS, VELOCITY, PrivilegedTeacher, StudentEnv, Teacher, check_env
-from distill.metrics import MetricsLog
-from distill.progress import Progress
 from distill.rollouts import RolloutRing
+from distill.running import check_identity, own_random_state, run, segment_seed
 from distill.student import Student, StudentConfig, build_student
 
 
@@ -108,19 +105,10 @@ def train(
     """
     check_env(env)
     config = config or TrainConfig()
-    path = out_dir / "checkpoint.pt"
-    with _own_random_state(config.seed):
+    with own_random_state(config.seed):
         distiller = Distiller(env, teacher, config, student or StudentConfig())
-        if resume and path.exists():
-            distiller.load_state_dict(checkpoint.load(path), path)
-        log = MetricsLog(out_dir / "metrics.jsonl")
-        log.rewind(distiller.iteration)
-        with Progress(config.iterations, distiller.iteration, "distilling", shown=progress) as bar:
-            while distiller.iteration < config.iterations:
-                for row in distiller.segment():
-                    log.append(row)
-                    bar.advance(config.rollout_steps * env.num_envs, row["action_loss"])
-                checkpoint.save(path, distiller.state_dict())
+        samples = config.rollout_steps * env.num_envs
+        run(distiller, out_dir, config.iterations, samples, resume=resume, progress=progress)
         checkpoint.save(out_dir / "student.pt", checkpoint.student_payload(distiller.student))
     return distiller.student.eval()
 
@@ -148,7 +136,7 @@ class Distiller:
 
     def segment(self) -> Iterator[dict[str, float]]:
         """Restart the environment and run up to `config.segment` iterations; yields their metrics."""
-        self._collector.restart(_segment_seed(self.config.seed, self.iteration))
+        self._collector.restart(segment_seed(self.config.seed, self.iteration))
         for _ in range(min(self.config.segment, self.config.iterations - self.iteration)):
             yield self._iterate()
 
@@ -218,15 +206,11 @@ class Distiller:
         Raises:
             CheckpointError: the checkpoint is of another run, or incomplete.
         """
-        if unequal := [key for key, value in self._identity().items() if state.get(key) != value]:
-            raise CheckpointError(
-                f"{path}: written by a run with another {' and '.join(unequal)}; "
-                "use the settings of that run, another folder, or start afresh without resuming"
-            )
+        check_identity(state, self._identity(), path)
         try:
-            self.student.load_state_dict(_table(state["student"]))
-            self._optimizer.load_state_dict(_table(state["optimizer"]))
-            self._ring.load_state_dict(_table(state["rollouts"]))
+            self.student.load_state_dict(checkpoint.table(state["student"]))
+            self._optimizer.load_state_dict(checkpoint.table(state["optimizer"]))
+            self._ring.load_state_dict(checkpoint.table(state["rollouts"]))
             iteration, random = state["iteration"], state["random"]
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise CheckpointError(f"{path}: does not fit this student and teacher: {error}") from error
@@ -234,22 +218,3 @@ class Distiller:
             raise CheckpointError(f"{path}: lacks its iteration or its random state")
         self.iteration = iteration
         torch.set_rng_state(random)
-
-
-def _table(value: object) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise TypeError(f"expected a table, found {type(value).__name__}")
-    return value
-
-
-def _segment_seed(seed: int, iteration: int) -> int:
-    """Seed of the episodes that start at `iteration`; different for every run seed and segment."""
-    return (seed * 1_000_003 + iteration) % 2**31
-
-
-@contextmanager
-def _own_random_state(seed: int) -> Iterator[None]:
-    """Seed torch for the run, and give the caller its random state back."""
-    with torch.random.fork_rng(devices=range(torch.cuda.device_count())):
-        torch.manual_seed(seed)
-        yield

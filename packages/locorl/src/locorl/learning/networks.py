@@ -89,8 +89,8 @@ class ActorCritic(nn.Module):
             last.bias.zero_()
 
     def latent(self, obs: Obs) -> Tensor:
-        """Latent of the implicit privileged state, (N, latent)."""
-        return run(self.encoder, obs["implicit"])
+        """Latent of the implicit privileged state, (N, latent); that in group `latent`, where a hook shows one."""
+        return obs["latent"] if "latent" in obs else run(self.encoder, obs["implicit"])
 
     def scan_latent(self, obs: Obs) -> Tensor:
         """Latent of the height scan, (N, scan_latent), within +-1.

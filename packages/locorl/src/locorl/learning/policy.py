@@ -63,7 +63,8 @@ class PolicyCard:
 class Policy:
     """A deterministic policy: acts with the mean action.
 
-    Satisfies what distillation asks of a teacher: `act`, `latent`, `actor`, `latent_dim`.
+    Satisfies what distillation asks of a teacher: `act`, `latent`, `actor`, `latent_dim`, and on tasks with a height
+    scan `scan_latent` and `scan_latent_dim`.
 
     Args:
         model: the networks.
@@ -84,6 +85,11 @@ class Policy:
         """Size of the privileged latent."""
         return self.model.latent_dim
 
+    @property
+    def scan_latent_dim(self) -> int:
+        """Size of the scan latent; 0 on tasks without a scan."""
+        return 0 if self.model.scan_encoder is None else self.card.network.scan_latent
+
     def reset(self, done: Tensor | None = None) -> None:
         """Nothing to forget: the policy has no memory."""
 
@@ -96,6 +102,15 @@ class Policy:
     def latent(self, obs: Mapping[str, Tensor]) -> Tensor:
         """Privileged latent, (N, latent_dim)."""
         return self.model.latent(obs)
+
+    @torch.no_grad()
+    def scan_latent(self, obs: Mapping[str, Tensor]) -> Tensor:
+        """Latent of the height scan, (N, scan_latent_dim), within +-1.
+
+        Raises:
+            ValueError: the task has no scan.
+        """
+        return self.model.scan_latent(obs)
 
     def check_space(self, robot: str, space: DesignSpace) -> None:
         """Refuse a robot or a design space that the policy was not trained on.

@@ -1,0 +1,91 @@
+"""Depth encoder: from images and proprioception to a latent of the terrain and the way to go."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from distill.errors import InterfaceError
+from distill.vision.config import DepthEncoderConfig
+
+NOTHING = 0.5
+"""Pixel of a ray that meets nothing within the camera's range."""
+
+
+class DepthEncoder(nn.Module):
+    """CNN over the image, joined with proprioception, then a GRU (paper, Fig. 3).
+
+    Pixels that are not finite read as nothing, others are clipped to the camera's range: an image that got lost on
+    the way does no lasting harm to the memory.
+
+    Args:
+        shape: rows and columns of the image.
+        proprio: P, width of a frame of proprioception, headings blanked.
+        terrain_dim: S, width of the terrain latent.
+        headings: K, number of headings.
+        limit: largest heading, rad.
+        config: sizes.
+
+    Raises:
+        InterfaceError: the image is too small for the convolutions.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        proprio: int,
+        terrain_dim: int,
+        headings: int,
+        limit: float,
+        config: DepthEncoderConfig,
+    ) -> None:
+        super().__init__()
+        self.shape, self.terrain_dim, self.limit, self.memory = shape, terrain_dim, limit, config.memory
+        self.image = _image_network(shape, config)
+        fusion: list[nn.Module] = []
+        width = config.image_features + proprio
+        for size in config.fusion:
+            fusion += [nn.Linear(width, size), nn.ELU()]
+            width = size
+        self.fusion = nn.Sequential(*fusion)
+        self.gru = nn.GRUCell(width, config.memory)
+        self.head = nn.Linear(config.memory, terrain_dim + headings)
+
+    def features(self, image: Tensor) -> Tensor:
+        """Features (B, F) of images (B, rows, columns) from -0.5 (near) to 0.5 (far)."""
+        image = torch.where(torch.isnan(image), NOTHING, image).clamp(-NOTHING, NOTHING)
+        return self.image(image.unsqueeze(1))
+
+    def recall(self, features: Tensor, frame: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Take in what one image shows.
+
+        Args:
+            features: (B, F) of the image.
+            frame: (B, P) proprioception of the same instant.
+            memory: (B, M) after the image before; zeros at the start of an episode.
+
+        Returns:
+            Terrain latent (B, S) within +-1, headings (B, K), rad, and memory (B, M).
+        """
+        fused = self.fusion(torch.cat((features, frame), dim=1))
+        memory = self.gru(fused, memory)
+        terrain, heading = torch.tanh(self.head(memory)).tensor_split((self.terrain_dim,), dim=1)
+        return terrain, self.limit * heading, memory
+
+
+def _image_network(shape: tuple[int, int], config: DepthEncoderConfig) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    channels, size = 1, shape
+    for layer in config.convolutions:
+        layers += [nn.Conv2d(channels, layer.channels, layer.kernel, layer.stride), nn.ELU()]
+        size = tuple(((length - layer.kernel) // layer.stride + 1) // layer.pool for length in size)
+        channels = layer.channels
+        if layer.pool > 1:
+            layers.append(nn.MaxPool2d(layer.pool))
+        if min(size) < 1:
+            raise InterfaceError(
+                f"images of {shape[0]} x {shape[1]} pixels are too small for the convolutions {config.convolutions}"
+            )
+    rows, columns = size
+    layers += [nn.Flatten(), nn.Linear(channels * rows * columns, config.image_hidden), nn.ELU()]
+    return nn.Sequential(*layers, nn.Linear(config.image_hidden, config.image_features), nn.ELU())
