@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from codesign_bo import BoxSpace, EvalResult, Study, StudyError
+from codesign_bo import BoxSpace, Categorical, Continuous, EvalResult, Score, Study, StudyError
 
 
 @pytest.fixture
@@ -198,6 +198,34 @@ def test_screening_chooses_what_is_tried_first(study, bowl):
         study.add_screening(points[:1], [1.0, 2.0])
 
 
+def test_other_choices_are_other_designs_when_screening(tmp_path):
+    names = tuple(f"foot{i}" for i in range(30))  # neighbours are 1/30 apart on their edge of the unit cube
+    space = BoxSpace((Categorical("foot", names, "foot0"), Continuous("a", 0.0, 1.0, 0.5)))
+    points = [{"foot": foot, "a": a} for foot, a in (("foot0", 0.55), ("foot1", 0.5), ("foot2", 0.5), ("foot2", 0.55))]
+    with Study(space, tmp_path / "s.sqlite") as study:
+        study.add_screening(points, [4.0, 3.0, 2.0, 1.0])
+        assert study.enqueue_screened(4) == points[1:3]
+
+
+def test_scores_at_lower_fidelities_are_kept_but_are_no_data_of_the_model(study, bowl):
+    study.add_screening([{"thigh": 1.2, "shank": 0.8}, {"thigh": 0.7, "shank": 1.4}], [8.0, 6.0], [0.5, None])
+
+    def evaluate(request):
+        result = bowl(request)
+        if request.trial == 1:
+            return EvalResult.stopped([(1, 0.1), (2, 0.3)], fidelity=0.5)
+        return EvalResult(result.mean, result.sem, 4, scores=(Score(0.0, -1.0 - request.trial, 0.25, 8),))
+
+    study.run(evaluate, until=3)
+    found = [(s.trial, s.fidelity, s.mean, s.sem) for s in study.scores()]
+    assert found[:2] == [(None, 0.0, 8.0, 0.5), (None, 0.0, 6.0, None)]
+    assert found[2:] == [(0, 0.0, -1.0, 0.25), (1, 0.5, 0.3, None), (2, 0.0, -3.0, 0.25)]
+    assert [s.params for s in study.scores()][2:] == [t.params for t in study.trials()]
+    assert study.observations().trial.tolist() == [0, 2]
+    with pytest.raises(ValueError, match="1 designs, but 2 standard errors"):
+        study.add_screening([{"thigh": 1.2, "shank": 0.8}], [8.0], [0.5, 0.5])
+
+
 def test_confirmation_runs_on_fresh_shared_seeds_and_adds_up(study, bowl):
     study.run(bowl, until=8)
     calls = []
@@ -229,8 +257,12 @@ def test_settings_out_of_range_are_refused(space, tmp_path):
         Study(space, tmp_path / "s.sqlite", seed=-1)
     with pytest.raises(ValueError, match="n_init"):
         Study(space, tmp_path / "s.sqlite", n_init=0)
-    with Study(space, tmp_path / "s.sqlite") as study, pytest.raises(StudyError, match="no trial"):
-        study.best()
+    with Study(space, tmp_path / "s.sqlite") as study:
+        with pytest.raises(StudyError, match="no trial"):
+            study.best()
+        for counts in ({"top_k": 0}, {"repeats": 0}):
+            with pytest.raises(ValueError, match=r"is 0 .*must be >= 1|is 0; both"):
+                study.confirm(lambda request: EvalResult(1.0), **counts)
 
 
 def test_trouble_of_the_machine_leaves_the_trial_open(space, tmp_path):

@@ -1,8 +1,19 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from codesign_bo import surrogate as module
+import torch
+from codesign_bo import BoxSpace, Categorical, Continuous, Integer
+from codesign_bo import fit as module
+from codesign_bo.fit import LogPosterior
+from codesign_bo.gp import MaternGP
+from codesign_bo.priors import PRIORS, Gamma, LogNormal
 from codesign_bo.surrogate import fit_surrogate, leave_one_out, slices
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import stats
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 
 def matern(a, b, lengthscales):
@@ -17,7 +28,7 @@ class DenseGP:
         self.x, self.l = s.x, s.lengthscales
         self.mu = s.shift + s.scale * s.gp.mean.constant.item()
         self.y = s.y - self.mu
-        self.amplitude = s.scale**2
+        self.amplitude = s.signal**2
         self.noise = np.maximum(s.sem**2, 1e-6 * s.scale**2) + s.extra_noise**2
         self.K = self.amplitude * matern(self.x, self.x, self.l) + np.diag(self.noise)
 
@@ -46,28 +57,98 @@ def test_posterior_agrees_with_a_dense_gaussian_process(data):
     np.testing.assert_allclose(got_std, np.sqrt(np.diag(cov)), rtol=1e-4)
 
 
+def test_posterior_agrees_with_scikit_learn(data):
+    s = fit_surrogate(*data, seed=0)
+    noise = np.maximum(s.sem**2, 1e-6 * s.scale**2) + s.extra_noise**2
+    mu = s.shift + s.scale * s.gp.mean.constant.item()
+    kernel = ConstantKernel(s.signal**2) * Matern(s.lengthscales, nu=2.5)
+    peer = GaussianProcessRegressor(kernel, alpha=noise, optimizer=None).fit(s.x, s.y - mu)
+    points = np.random.default_rng(1).uniform(size=(20, 3))
+    mean, std = peer.predict(points, return_std=True)
+    np.testing.assert_allclose(s.predict(points)[0], mu + mean, rtol=1e-6)
+    np.testing.assert_allclose(s.predict(points)[1], std, rtol=1e-4)
+    _, cov = peer.predict(points, return_cov=True)
+    np.testing.assert_allclose(s.joint(points)[1], cov, rtol=1e-4, atol=1e-7 * cov.max())
+
+
+def test_gpytorch_sees_the_same_model(data):
+    s = fit_surrogate(*data, seed=0)
+    points = np.random.default_rng(1).uniform(size=(5, 3))
+    with torch.no_grad():
+        there = s.gp(torch.as_tensor(points))
+    np.testing.assert_allclose(s.predict(points)[0], s.shift + s.scale * there.mean.numpy(), rtol=1e-6)
+    np.testing.assert_allclose(s.predict(points)[1], s.scale * there.stddev.numpy(), rtol=1e-4)
+
+
 def test_hyperparameters_are_a_maximum_of_the_log_posterior(data):
     x, y, sem = data
-    s = fit_surrogate(x, y, sem, seed=0)
+    priors = replace(PRIORS, variance=LogNormal(0.0, 0.5))
+    s = fit_surrogate(x, y, sem, seed=0, priors=priors)
 
-    def log_posterior(log_l, log_noise, constant):
+    def log_posterior(log_l, log_noise, log_variance, constant):
         z, v = (y - y.mean()) / y.std(ddof=1), (sem / y.std(ddof=1)) ** 2
-        cov = matern(x, x, np.exp(log_l)) + np.diag(v + np.exp(log_noise))
-        prior_l = stats.lognorm(np.sqrt(3), scale=np.exp(np.sqrt(2) + 0.5 * np.log(3)))
-        prior_noise = stats.lognorm(1.0, scale=np.exp(-4))
+        cov = np.exp(log_variance) * matern(x, x, np.exp(log_l)) + np.diag(v + np.exp(log_noise))
         return (
             stats.multivariate_normal(np.full(14, constant), cov).logpdf(z)
-            + prior_l.logpdf(np.exp(log_l)).sum()
-            + prior_noise.logpdf(np.exp(log_noise))
+            + log_density(PRIORS.lengthscale, np.exp(log_l)).sum()
+            + log_density(PRIORS.extra_variance, np.exp(log_noise)).sum()
+            + log_density(priors.variance, np.exp(log_variance)).sum()
         )
 
-    at = [np.log(s.lengthscales), np.log(s.extra_noise**2 / s.scale**2), s.gp.mean.constant.item()]
-    top = log_posterior(*at)
+    at = np.log([*s.lengthscales, (s.extra_noise / s.scale) ** 2, (s.signal / s.scale) ** 2, 1.0])
+    at[5] = s.gp.mean.constant.item()
+    top = log_posterior(at[:3], *at[3:])
     rng = np.random.default_rng(2)
     for size in (0.02, 0.1, 0.5):
         for _ in range(50):
-            step = size * rng.normal(size=5)
-            assert log_posterior(at[0] + step[:3], at[1] + step[3], at[2] + step[4]) <= top + 1e-3
+            moved = at + size * rng.normal(size=6)
+            assert log_posterior(moved[:3], *moved[3:]) <= top + 1e-3
+
+
+def log_density(prior, values):
+    """The priors by scipy."""
+    if isinstance(prior, Gamma):
+        return stats.gamma(prior.shape, scale=1 / prior.rate).logpdf(values)
+    return stats.lognorm(prior.scale, scale=np.exp(prior.location)).logpdf(values)
+
+
+@pytest.mark.parametrize("prior", [Gamma(3.0, 6.0), Gamma(1.1, 30.0), LogNormal(0.3, 0.5)])
+def test_priors_agree_with_scipy(prior):
+    log = np.array([-3.0, 0.1, 1.2])
+    value, slope = prior.log_density(log)
+    np.testing.assert_allclose(value, log_density(prior, np.exp(log)))
+    rise = log_density(prior, np.exp(log + 1e-6)) - log_density(prior, np.exp(log - 1e-6))
+    np.testing.assert_allclose(slope, rise / 2e-6, rtol=1e-6)
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 10_000), st.booleans())
+def test_the_likelihood_and_its_gradient_agree_with_scipy_and_differences(seed, with_trend):
+    rng = np.random.default_rng(seed)
+    x, y, sem = rng.uniform(size=(6, 2)), rng.normal(size=6), rng.uniform(0.1, 0.5, 6)
+    follow = torch.as_tensor(rng.normal(size=2))
+    features = torch.as_tensor(x)
+    trend = (lambda at: at @ follow) if with_trend else None
+    gp = MaternGP(features, torch.as_tensor(y), torch.as_tensor(sem**2), [0, 1], trend)
+    priors = replace(PRIORS, variance=LogNormal(0.0, 0.5))
+    posterior = LogPosterior(gp, priors)
+    at = posterior.random(rng)
+    at[4:] = rng.normal(size=len(at) - 4)
+
+    def truth(at):
+        length, variance, extra = np.exp(at[:2]), np.exp(at[2]), np.exp(at[3])
+        mean = np.full(6, at[4]) + (at[5] * (x @ follow.numpy()) if with_trend else 0.0)
+        cov = variance * matern(x, x, length) + np.diag(sem**2 + extra)
+        prior = log_density(PRIORS.lengthscale, length).sum() + log_density(priors.variance, variance)
+        prior += log_density(PRIORS.extra_variance, extra)
+        if with_trend:
+            prior += stats.norm(0, PRIORS.weight).logpdf(at[5]) - stats.norm(0, PRIORS.weight).logpdf(0)
+        return stats.multivariate_normal(mean, cov).logpdf(y) + prior
+
+    value, gradient = posterior(at)
+    assert value == pytest.approx(truth(at), rel=1e-8)
+    rises = [(truth(at + step) - truth(at - step)) / 2e-5 for step in 1e-5 * np.eye(len(at))]
+    np.testing.assert_allclose(gradient, rises, rtol=1e-4, atol=1e-5)
 
 
 def test_learns_the_noise_that_standard_errors_leave_out():
@@ -120,7 +201,7 @@ def test_fit_falls_back_step_by_step(data, monkeypatch, failures, fit):
     def flaky(*args, **kwargs):
         calls.append(1)
         if len(calls) <= failures:
-            raise RuntimeError("matrix not positive definite")
+            raise ValueError("not a number")
         return real(*args, **kwargs)
 
     monkeypatch.setattr(module, "minimize", flaky)
@@ -140,3 +221,79 @@ def test_repeated_points_are_survived():
     x = np.tile([[0.3, 0.7]], (6, 1))
     s = fit_surrogate(x, np.arange(6.0), np.zeros(6), 0)
     assert s.predict(x)[0][0] == pytest.approx(2.5, abs=0.2)
+
+
+def test_replicates_count_as_one_observation_merged_by_inverse_variance(data):
+    x, y, sem = data
+    x, y, sem = (
+        np.concatenate([x, x[:3], x[:1]]),
+        np.concatenate([y, y[:3] + 5, y[:1] - 2]),
+        np.concatenate([sem, sem[:4]]),
+    )
+    s = fit_surrogate(x, y, sem, seed=0)
+    weight = 1 / (np.maximum(sem**2, 1e-6 * s.scale**2) + s.extra_noise**2)
+    unique = x[:14]
+    same = [np.flatnonzero((x == u).all(axis=1)) for u in unique]
+    total = np.array([weight[i].sum() for i in same])
+    merged = np.array([(weight[i] * y[i]).sum() for i in same]) / total
+    mu = s.shift + s.scale * s.gp.mean.constant.item()
+    kernel = ConstantKernel(s.signal**2) * Matern(s.lengthscales, nu=2.5)
+    peer = GaussianProcessRegressor(kernel, alpha=1 / total, optimizer=None).fit(unique, merged - mu)
+    points = np.random.default_rng(1).uniform(size=(20, 3))
+    mean, std = peer.predict(points, return_std=True)
+    np.testing.assert_allclose(s.predict(points)[0], mu + mean, rtol=1e-6)
+    np.testing.assert_allclose(s.predict(points)[1], std, rtol=1e-4)
+
+
+def test_the_spread_of_replicates_tells_the_extra_noise():
+    rng = np.random.default_rng(0)
+    x = np.repeat(rng.uniform(size=(6, 2)), 5, axis=0)
+    y = 3 * x[:, 0] + 0.3 * rng.normal(size=30)
+    assert fit_surrogate(x, y, np.zeros(30), 0).extra_noise == pytest.approx(0.3, rel=0.35)
+
+
+MIXED = BoxSpace(
+    (
+        Continuous("a", 0, 1, 0.5),
+        Integer("b", 1, 3, 2),
+        Categorical("c", ("x", "y", "z"), "x"),
+        Categorical("d", ("fixed",), "fixed", fixed=True),
+    )
+)
+
+
+def test_a_mixed_space_is_modelled_on_its_features():
+    rng = np.random.default_rng(4)
+    x = rng.uniform(size=(30, 3))
+    designs = MIXED.from_unit(x)
+    y = np.sin(3 * designs[:, 0]) + designs[:, 1] + np.array([0.0, 2.0, -1.0])[designs[:, 2].astype(int)]
+    s = fit_surrogate(x, y, np.full(30, 0.01), 0, MIXED)
+    assert s.lengthscales.shape == (3,)
+    features = MIXED.features(x)[:, :5] / s.lengthscales[[0, 1, 2, 2, 2]]
+    mu = s.shift + s.scale * s.gp.mean.constant.item()
+    noise = np.maximum(s.sem**2, 1e-6 * s.scale**2) + s.extra_noise**2
+    kernel = ConstantKernel(s.signal**2) * Matern(1.0, nu=2.5)
+    peer = GaussianProcessRegressor(kernel, alpha=noise, optimizer=None).fit(features, y - mu)
+    points = rng.uniform(size=(20, 3))
+    mean = mu + peer.predict(MIXED.features(points) / s.lengthscales[[0, 1, 2, 2, 2]])
+    np.testing.assert_allclose(s.predict(points)[0], mean, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(s.predict(MIXED.snap(points))[0], s.predict(points)[0])  # one value per bin
+    assert leave_one_out(s).r2 > 0.8
+
+
+def test_log_density_of_leave_one_out_is_that_of_normals(data):
+    report = leave_one_out(fit_surrogate(*data, seed=0))
+    np.testing.assert_allclose(report.log_density, stats.norm(report.mean, report.std).logpdf(report.y))
+
+
+def test_the_variance_is_held_unless_it_has_a_prior(data):
+    x, y, sem = data
+    assert fit_surrogate(x, y, sem, 0).hyperparameters.variance == 1.0
+    learnt = fit_surrogate(x, y, sem, 0, priors=replace(PRIORS, variance=LogNormal(0.0, 0.5)))
+    assert learnt.hyperparameters.variance != 1.0
+
+
+def test_same_data_and_seed_give_the_same_surrogate(data):
+    a, b = fit_surrogate(*data, seed=3), fit_surrogate(*data, seed=3)
+    np.testing.assert_array_equal(a.lengthscales, b.lengthscales)
+    assert (a.extra_noise, a.signal) == (b.extra_noise, b.signal)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from codesign_bo.records import ConfirmationRecord
+from codesign_bo.space import Value
 
 NOMINAL_TRIAL = 0
 
@@ -27,16 +28,19 @@ class Gain:
         low: Lower end of the confidence interval of the gain; -inf with fewer than 2 seeds.
         high: Upper end.
         repeats: Number of fresh seeds.
+        probability: Probability that this design is better than the nominal one: Student's t with a flat prior,
+            not corrected for the number of designs; NaN with fewer than 2 seeds.
     """
 
     trial: int
-    params: Mapping[str, float]
+    params: Mapping[str, Value]
     mean: float
     nominal_mean: float
     gain: float
     low: float
     high: float
     repeats: int
+    probability: float
 
     @property
     def relative(self) -> tuple[float, float, float]:
@@ -74,7 +78,7 @@ class Confirmation:
 
 def analyse(
     records: Iterable[ConfirmationRecord],
-    params: Mapping[int, Mapping[str, float]],
+    params: Mapping[int, Mapping[str, Value]],
     maximize: bool = True,
     level: float = 0.95,
 ) -> Confirmation:
@@ -107,31 +111,47 @@ def analyse(
         return Confirmation((), failed, level)
     base = np.array([nominal[r] for r in repeats])
     table = np.array([[scores[t][r] for r in repeats] for t in complete])
-    half = _half_width(np.vstack([base, table]), level)
-    gains = [_gain(trial, params[trial], row, base, half, maximize) for trial, row in zip(complete, table, strict=True)]
+    error = _pooled(np.vstack([base, table]))
+    gains = [
+        _gain(trial, params[trial], row, base, error, 1.0 - (1.0 - level) / (2 * len(complete)), maximize)
+        for trial, row in zip(complete, table, strict=True)
+    ]
     return Confirmation(tuple(sorted(gains, key=lambda g: (-g.gain, g.trial))), failed, level)
 
 
-def _half_width(table: np.ndarray, level: float) -> float:
-    """Half width of the interval of a difference of two rows of `table` (k + 1 designs, r seeds)."""
+def _pooled(table: np.ndarray) -> tuple[float, int]:
+    """Return the standard error of a difference of two rows of `table` (k + 1 designs, r seeds).
+
+    Returns:
+        The standard error, infinite for one seed, and its degrees of freedom.
+    """
     k, r = table.shape[0] - 1, table.shape[1]
     if r < 2:
-        return math.inf
+        return math.inf, 1
     residual = table - table.mean(axis=1, keepdims=True) - table.mean(axis=0) + table.mean()
     freedom = k * (r - 1)
     variance = float(np.sum(residual**2)) / freedom
-    return float(stats.t.ppf(1.0 - (1.0 - level) / (2 * k), freedom)) * math.sqrt(2.0 * variance / r)
+    return math.sqrt(2.0 * variance / r), freedom
 
 
 def _gain(
     trial: int,
-    params: Mapping[str, float],
+    params: Mapping[str, Value],
     scores: np.ndarray,
     base: np.ndarray,
-    half: float,
+    error: tuple[float, int],
+    quantile: float,
     maximize: bool,
 ) -> Gain:
     gain = float(np.mean(scores - base)) * (1.0 if maximize else -1.0)
+    width, freedom = error
+    half = float(stats.t.ppf(quantile, freedom)) * width
+    if width == math.inf:
+        probability = math.nan
+    elif width == 0.0:
+        probability = float(gain > 0.0)
+    else:
+        probability = float(stats.t.cdf(gain / width, freedom))
     return Gain(
         trial,
         dict(params),
@@ -141,4 +161,5 @@ def _gain(
         gain - half,
         gain + half,
         len(base),
+        probability,
     )

@@ -1,7 +1,11 @@
-"""The error a user of a study can meet and act upon."""
+"""The errors a user of a study can meet and act upon."""
 
 from __future__ import annotations
 
 
 class StudyError(RuntimeError):
     """A study cannot go on as asked; the message names the file, the cause and the way out."""
+
+
+class DivergedError(ValueError):
+    """An evaluation gave numbers that are not finite; a study records it as `diverged`."""

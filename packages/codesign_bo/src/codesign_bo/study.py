@@ -1,35 +1,38 @@
 """The search: ask for designs, tell their scores, recommend the best and confirm it."""
 
-# pyright: reportArgumentType=false
-# designs are numbers here until records hold integers and categories too
 from __future__ import annotations
 
 import logging
 import math
-import traceback
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from codesign_bo.confirm import NOMINAL_TRIAL, Confirmation
+from codesign_bo.data import tells_viability
 from codesign_bo.errors import StudyError
-from codesign_bo.header import Header
+from codesign_bo.executors.interfaces import Executor
+from codesign_bo.header import Direction, Header
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult
-from codesign_bo.proposal import derive_seed, propose
-from codesign_bo.records import ConfirmationRecord, TrialRecord
+from codesign_bo.records import Basis, ConfirmationRecord, Proposal, Told, TrialRecord
+from codesign_bo.retries import RETRIES
+from codesign_bo.running.dispatch import Dispatcher, Evaluation
+from codesign_bo.running.progress import Tally
+from codesign_bo.running.session import coordinate, listener
+from codesign_bo.running.work import ConfirmationRuns, Search
 from codesign_bo.space import BoxSpace, Feasible
-from codesign_bo.storage import Storage
-from codesign_bo.view import StudyView
+from codesign_bo.stopping import MedianStopping
+from codesign_bo.storage import SEARCH, Storage
+from codesign_bo.suggestions import Suggestions, check_feasible
+from codesign_bo.view import open_study
 
 logger = logging.getLogger(__name__)
 
-_BRAKE_FAILURES = 5
 _MIN_SCORES = 2
 
 
-class Study(StudyView):
-    """A durable Bayesian optimisation over a box; opening the same file again goes on where it stopped.
+class Study(Suggestions):
+    """A durable Bayesian optimisation; opening the same file again goes on where it stopped.
 
     Trial 0 is the nominal design, then come queued designs, then Sobol points up to trial `n_init`, then
     the maxima of noisy expected improvement. What is proposed depends only on the settings and on the
@@ -41,11 +44,17 @@ class Study(StudyView):
         seed: Seed of everything random in the study; trial seeds derive from it.
         maximize: Whether higher means are better.
         n_init: Trials before the surrogate takes over; by default twice the number of free parameters.
+            Imported results count towards it (see `add_history`).
         feasible: Predicate over designs (n, d) in natural units; only feasible ones are proposed.
         workdir: Folder in which each evaluation gets its own; by default `trials` beside the file.
+        objectives: Further objectives, such as `{"energy": "minimize"}`: names of `EvalResult.extras` that
+            each result must then have.
+        retries: Further attempts after an evaluation was lost (see `codesign_bo.retries`).
+        allow_network: Whether the file may lie on a network file system.
 
     Raises:
-        StudyError: The file is damaged, in use, not writable, or belongs to a study with other settings.
+        StudyError: The file is damaged, in use, not writable, on a network file system, or belongs to a
+            study with other settings.
         ValueError: The nominal design is infeasible, or a setting is out of range.
 
     Example:
@@ -64,127 +73,163 @@ class Study(StudyView):
         n_init: int | None = None,
         feasible: Feasible | None = None,
         workdir: Path | str | None = None,
+        objectives: Mapping[str, Direction] | None = None,
+        retries: int = RETRIES,
+        allow_network: bool = False,
     ) -> None:
         if seed < 0:
             raise ValueError(f"seed is {seed}; it must be >= 0")
         n_init = 2 * space.dim if n_init is None else n_init
         if n_init < 1:
             raise ValueError(f"n_init is {n_init}; it must be >= 1")
-        self._feasible = feasible
-        self._check_feasible(space, [space.nominal])
-        opened = Storage(Path(storage))
+        if retries < 0:
+            raise ValueError(f"retries is {retries}; it must be >= 0")
+        check_feasible(space, [space.nominal], feasible)
+        header = Header(space.signature(), seed, n_init, maximize, objectives or {})
+        opened = Storage(Path(storage), allow_network=allow_network)
         try:
-            opened.bind(Header(space.signature(), seed, n_init, maximize))
-            super().__init__(opened)
+            opened.bind(header)
+            if feasible is not None:
+                opened.set_predicate(_name(feasible))
+            elif opened.predicate() is not None:
+                logger.warning("%s had the predicate %s; now designs go unchecked", storage, opened.predicate())
+            super().__init__(opened, feasible)
         except BaseException:
             opened.close()
             raise
         self.workdir = self.path.parent / "trials" if workdir is None else Path(workdir)
-        self._dispatched: set[int] = set()
+        self._dispatcher = Dispatcher(opened, self.workdir, self.objectives, retries)
+
+    @classmethod
+    def resume(
+        cls,
+        storage: Path | str,
+        feasible: Feasible | None = None,
+        workdir: Path | str | None = None,
+        retries: int = RETRIES,
+        allow_network: bool = False,
+    ) -> Study:
+        """Open an existing study with the space and settings it was made with.
+
+        Args:
+            storage: Path of the SQLite file.
+            feasible: The predicate it was made with: functions are not stored.
+            workdir: The folder for evaluations it was made with, if not `trials` beside the file.
+            retries: Further attempts after an evaluation was lost.
+            allow_network: Whether the file may lie on a network file system.
+
+        Raises:
+            StudyError: There is no study, or it had a predicate and none is given.
+        """
+        with open_study(storage) as view:
+            if view.predicate is not None and feasible is None:
+                raise StudyError(
+                    f"{storage} was made with the feasibility predicate {view.predicate}; without it infeasible "
+                    "designs would be proposed. Give it again"
+                )
+            space, settings = view.space, (view.seed, view.maximize, view.n_init)
+            objectives = view.objectives
+        return cls(space, storage, *settings, feasible, workdir, objectives, retries, allow_network)
 
     # --- ask and tell ---------------------------------------------------------------------------------
 
-    def ask(self, n: int = 1, deadline: float | None = None) -> list[EvalRequest]:
+    def ask(
+        self, n: int = 1, deadline: float | None = None, stopping: MedianStopping | None = None
+    ) -> list[EvalRequest]:
         """Return n evaluations to do, committed before they are returned.
 
-        Trials left unfinished by an earlier coordinator come first, with the same design and seed.
+        Trials left unfinished by an earlier coordinator, or to be tried again, come first, with the same
+        design and seed.
 
         Args:
             n: How many.
-            deadline: Unix time (s) to pass on to the evaluations.
-        """
-        return [self._ask_one(deadline) for _ in range(n)]
+            deadline: Unix time (s) to pass on to the evaluations, None for none.
+            stopping: Rule that lets evaluations find out that they are hopeless (see `EvalRequest.stop`).
 
-    def _ask_one(self, deadline: float | None) -> EvalRequest:
+        Raises:
+            ValueError: The deadline is not finite.
+        """
+        if deadline is not None and not math.isfinite(deadline):
+            raise ValueError(f"deadline is {deadline}; give a Unix time in seconds, or None for no deadline")
+        return [self._ask_one(deadline, stopping) for _ in range(n)]
+
+    def _ask_one(self, deadline: float | None, stopping: MedianStopping | None) -> EvalRequest:
         trials = self.trials()
-        for record in trials:
-            if record.result is None and record.trial not in self._dispatched:
-                attempt = self._storage.add_attempt(record.trial)
-                self._dispatched.add(record.trial)
-                return self._request(record, attempt, deadline)
+        thresholds = None
+        if stopping is not None:
+            curves = [t.result.curve for t in trials if t.result is not None and not t.failed]
+            thresholds = stopping.thresholds(curves, self.maximize)
+        for t in trials:
+            evaluation = (t.trial, SEARCH)
+            if t.result is None and evaluation not in self._dispatcher.held:
+                return self._dispatcher.again(evaluation, t.params, t.seed, t.fidelity, deadline, thresholds)
+        from codesign_bo.proposal import derive_seed  # see `codesign_bo.view`
+
         trial = len(trials)
-        scored = [t for t in trials if t.ok]
-        ready = trial >= self.n_init and len(scored) >= _MIN_SCORES
-        # Failed designs count as pending, because nothing is to be gained from trying them again.
-        avoid = [t.params for t in trials if not t.ok]
+        proposal = self._propose(trials)
+        return self._dispatcher.propose(trial, proposal, derive_seed(self.seed, trial), deadline, thresholds)
+
+    def _propose(self, trials: Sequence[TrialRecord]) -> Proposal:
+        from codesign_bo.proposal import fingerprint, propose
+
+        trial = len(trials)
+        imported = sum(h.result.ok for h in self.history())
+        n_init = max(1, self.n_init - imported)
+        ready = trial >= n_init and sum(t.ok for t in trials) + imported >= _MIN_SCORES
+        queued = next((dict(q.params) for q in self.queue() if q.trial is None), None)
+        belief = self.belief() if ready and queued is None else None
+        hopeless = {t.trial for t in trials if t.result is not None and t.failed and tells_viability(t.result)}
+        failed = [t for t in trials if t.trial in hopeless]
+        pending = [t for t in trials if not t.ok and t.trial not in hopeless]
         proposal = propose(
             self.space,
             trial,
-            self.n_init,
+            n_init,
             self.seed,
-            self.surrogate() if ready else None,
-            self.space.to_unit(self.space.designs(avoid)),
-            next((dict(q.params) for q in self.queue() if q.trial is None), None),
-            self.maximize,
+            belief,
+            self.space.to_unit(self.space.designs(t.params for t in pending)),
+            self.space.to_unit(self.space.designs(t.params for t in failed)),
+            queued,
             self._feasible,
         )
-        seed = derive_seed(self.seed, trial)
-        self._storage.add_trial(trial, proposal, seed)
-        self._dispatched.add(trial)
-        return self._request(TrialRecord(trial, proposal.params, seed, proposal.origin, None), 1, deadline)
+        if proposal.origin != "surrogate" or belief is None:
+            return proposal
+        unfinished = tuple(t.trial for t in trials if t.result is None)
+        fit = belief.objectives[0].surrogate.fit
+        return replace(proposal, basis=Basis(fit, fingerprint(belief), self.fit_seconds(), unfinished))
 
-    def _request(self, record: TrialRecord, attempt: int, deadline: float | None) -> EvalRequest:
-        return EvalRequest(
-            trial=record.trial,
-            attempt=attempt,
-            params=record.params,
-            seed=record.seed,
-            workdir=self.workdir / f"{record.trial:04d}",
-            deadline=deadline,
-        )
-
-    def tell(self, trial: int, result: EvalResult) -> None:
+    def tell(self, trial: int, result: EvalResult, token: str | None = None) -> Told:
         """Commit the result of a trial. Telling the same again does nothing.
 
-        Raises:
-            StudyError: There is no such trial, or it already has another result.
-        """
-        self._storage.finish(trial, result)
-        self._dispatched.discard(trial)
-
-    def run(
-        self,
-        callback: Callback,
-        until: int = 30,
-        progress: Callable[[TrialRecord], None] | None = None,
-        deadline: float | None = None,
-    ) -> list[TrialRecord]:
-        """Ask, evaluate and tell, one trial after the other, until `until` trials are finished.
-
         Args:
-            callback: Evaluates a design. What it raises is recorded as a `crash` of that trial, except
-                OSError and MemoryError: those are the machine's, pass through, and leave the trial open.
-            until: Total number of finished trials, failed and earlier ones included.
-            progress: Called with each trial as it finishes.
-            deadline: Unix time (s) to pass on to the evaluations.
+            trial: The trial.
+            result: Its outcome; numbers that are not finite make it `diverged`.
+            token: `EvalRequest.token`, which tells attempts apart; by default that of the latest.
 
         Returns:
-            The trial table.
+            Whether the result counted, is worth another attempt, is a repetition, or came late, after
+            another attempt had finished the trial (see `codesign_bo.records.Told`).
 
         Raises:
-            StudyError: More than half of the trials fail, at least 5; those are kept, see `retry_failed`.
-            TypeError: The callback returned something else than an `EvalResult`; its trial stays open.
+            StudyError: There is no such trial or token, or it already has another result.
+            ValueError: The result lacks a further objective of the study.
         """
-        while sum(t.result is not None for t in self.trials()) < until:
-            (request,) = self.ask(deadline=deadline)
-            result = _evaluate(callback, request)
-            self.tell(request.trial, result)
-            trials = self.trials()
-            if progress is not None:
-                progress(trials[request.trial])
-            if not result.ok:
-                self._brake(trials, result)
-        return self.trials()
+        return self._dispatcher.tell((trial, SEARCH), result, token)
 
-    def _brake(self, trials: Sequence[TrialRecord], last: EvalResult) -> None:
-        finished = [t for t in trials if t.result is not None]
-        failures = sum(not t.ok for t in finished)
-        if failures >= _BRAKE_FAILURES and 2 * failures > len(finished):
-            raise StudyError(
-                f"{failures} of {len(finished)} trials of {self.path} failed; the last ({last.status}): "
-                f"{last.message}\n"
-                "All are on record: repair the evaluation, then retry_failed() and run() again"
-            )
+    def give_up(self, trial: int, token: str, message: str = "given up") -> Told:
+        """Commit that an attempt counts as `lost`; should its result come late, it can still be told.
+
+        Returns:
+            `"retry"` if the trial comes back with the next ask, `"counted"` if it has been lost too often.
+
+        Raises:
+            StudyError: There is no such trial or token, or the attempt has a result.
+        """
+        return self._dispatcher.give_up((trial, SEARCH), token, message)
+
+    def finished(self) -> int:
+        """Return the number of finished trials, failed and stopped ones included."""
+        return self._storage.finished()
 
     def retry_failed(self) -> int:
         """Make all failed trials and confirmation runs unfinished again; return how many there were.
@@ -193,69 +238,51 @@ class Study(StudyView):
         """
         return self._storage.reopen_failed()
 
-    # --- what to try first ----------------------------------------------------------------------------
+    # --- run and confirm ------------------------------------------------------------------------------
 
-    def enqueue(self, points: Sequence[Mapping[str, float]]) -> None:
-        """Queue designs to be tried before any further proposal of the study.
+    def run(
+        self,
+        callback: Callback,
+        until: int = 30,
+        executor: Executor | None = None,
+        progress: Callable[[TrialRecord], None] | bool | None = None,
+        deadline: float | None = None,
+        stopping: MedianStopping | None = None,
+        patience: float | None = None,
+    ) -> list[TrialRecord]:
+        """Ask, evaluate and tell until `until` trials are finished.
 
-        A design that ever was in the queue is left out, so a resumed script may queue the same again.
+        Give `executor=LocalExecutor(...)` where evaluations may hang, crash or take much memory: then each has
+        a fresh process that can be limited and killed. Without one they run in this process.
 
-        Raises:
-            ValueError: A design is incomplete, out of bounds or infeasible; then none is queued.
-        """
-        checked = [self.space.check(p) for p in points]
-        self._check_feasible(self.space, checked)
-        self._storage.enqueue(checked)
-
-    def add_screening(self, points: Sequence[Mapping[str, float]], values: Sequence[float]) -> None:
-        """Store cheap scores of designs. They never reach the surrogate; see `enqueue_screened`.
-
-        Args:
-            points: n designs; the newest score of a design counts.
-            values: Their n scores, in the direction of the objective.
-
-        Raises:
-            ValueError: A design is invalid, a score is not finite, or their numbers differ.
-        """
-        if len(points) != len(values):
-            raise ValueError(f"{len(points)} designs, but {len(values)} screening scores")
-        if not all(math.isfinite(v) for v in values):
-            raise ValueError("screening scores must be finite; leave failed designs out")
-        self._storage.add_screening([self.space.check(p) for p in points], values)
-
-    def enqueue_screened(self, n: int, separation: float = 0.1) -> list[dict[str, float]]:
-        """Queue the n best screened designs that are not close to one another or to the nominal one.
+        Interrupt it at any time: what is in flight is cancelled, left open, and comes first in the next run.
 
         Args:
-            n: How many at most.
-            separation: Least distance (largest difference of any coordinate) in the unit cube.
+            callback: Evaluates a design. What it raises is recorded as a `crash` of that trial. In this
+                process, OSError and MemoryError are the machine's: they pass through and leave the trial open.
+            until: Total number of finished trials, failed and earlier ones included.
+            executor: Runs as many evaluations at once as it has slots (see `codesign_bo.executors`); without
+                one they run in this process, one after the other.
+            progress: Called with each trial as it finishes; or True: a live table in a terminal and plain
+                lines elsewhere, None: the table in a terminal only, False: nothing.
+            deadline: Unix time (s) to pass on to the evaluations; what is not finished then is cancelled and
+                left open. Nothing else depends on the machine's clock.
+            stopping: Rule that stops hopeless evaluations, if the callback asks for it; None for none.
+            patience: Seconds from its submission after which an evaluation that was not heard of is given up
+                as lost, for executors that set no limit of their own.
 
         Returns:
-            The queued designs, the best first.
+            The trial table.
+
+        Raises:
+            StudyError: More than half of the trials fail, at least 5; those are kept, see `retry_failed`.
+            TypeError: The callback returned something else than an `EvalResult`; its trial stays open.
         """
-        sign = -1.0 if self.maximize else 1.0
-        records = sorted(self.screening(), key=lambda r: sign * r.value)
-        points = self.space.to_unit(self.space.designs(r.params for r in records))
-        kept = [self.space.to_unit(self.space.designs([self.space.nominal]))[0]]
-        chosen: list[dict[str, float]] = []
-        for record, point in zip(records, points, strict=True):
-            if len(chosen) == n:
-                break
-            if np.abs(np.array(kept) - point).max(axis=1).min() >= separation:
-                kept.append(point)
-                chosen.append(dict(record.params))
-        self.enqueue(chosen)
-        return chosen
-
-    def _check_feasible(self, space: BoxSpace, points: Sequence[Mapping[str, float]]) -> None:
-        if self._feasible is None or not points:
-            return
-        mask = self._feasible(space.designs(points))
-        bad = [dict(p) for p, good in zip(points, mask, strict=True) if not good]
-        if bad:
-            raise ValueError(f"infeasible by the study's own predicate: {bad}")
-
-    # --- confirm --------------------------------------------------------------------------------------
+        called, show = listener(progress)
+        work = Search(self, self._dispatcher, until, deadline, stopping, called)
+        tally = Tally(self.finished(), until, self._best, sum(t.failed for t in self.trials()))
+        coordinate(work, callback, executor, tally, show, patience, deadline)
+        return self.trials()
 
     def confirm(
         self,
@@ -263,7 +290,9 @@ class Study(StudyView):
         top_k: int = 2,
         repeats: int = 3,
         level: float = 0.95,
-        progress: Callable[[ConfirmationRecord], None] | None = None,
+        progress: Callable[[ConfirmationRecord], None] | bool | None = None,
+        executor: Executor | None = None,
+        patience: float | None = None,
     ) -> Confirmation:
         """Evaluate the nominal design and the best others again, on fresh seeds that all share.
 
@@ -275,42 +304,42 @@ class Study(StudyView):
             top_k: How many designs to confirm. Each costs `repeats` evaluations and widens the intervals.
             repeats: Fresh seeds per design.
             level: Confidence level of the intervals.
-            progress: Called with each run as it finishes.
+            progress: Called with each run as it finishes, or a flag as in `run`.
+            executor: As in `run`.
+            patience: As in `run`.
 
         Returns:
             Gains over the nominal design with intervals (see `codesign_bo.confirm.analyse`).
 
         Raises:
             StudyError: No trial has a score yet.
+            ValueError: `top_k` or `repeats` is not positive.
         """
-        records = {t.trial: t for t in self.trials()}
+        from codesign_bo.proposal import derive_seed
+
+        if top_k < 1 or repeats < 1:
+            raise ValueError(f"top_k is {top_k} and repeats is {repeats}; both must be >= 1")
+        params = {t.trial: t.params for t in self.trials()}
         chosen = [NOMINAL_TRIAL]
         for estimate in self.ranking():
-            if len(chosen) <= top_k and all(estimate.params != records[t].params for t in chosen):
+            if len(chosen) <= top_k and all(estimate.params != params[t] for t in chosen):
                 chosen.append(estimate.trial)
         done = {(c.trial, c.repeat) for c in self.confirmations() if c.result is not None}
-        for repeat in range(repeats):
-            seed = derive_seed(self.seed, repeat, 2)
-            for trial in (t for t in chosen if (t, repeat) not in done):
-                attempt = self._storage.add_confirmation(trial, repeat, seed)
-                folder = self.workdir / f"{trial:04d}" / "confirm" / f"{repeat:02d}"
-                request = EvalRequest(trial, attempt, records[trial].params, seed, workdir=folder)
-                result = _evaluate(callback, request)
-                self._storage.finish_confirmation(trial, repeat, result)
-                if progress is not None:
-                    progress(ConfirmationRecord(trial, repeat, seed, result, attempt))
+        planned = [(trial, repeat) for repeat in range(repeats) for trial in chosen]
+        plan: dict[Evaluation, int] = {e: derive_seed(self.seed, e[1], 2) for e in planned if e not in done}
+        called, show = listener(progress)
+        work = ConfirmationRuns(self._dispatcher, plan, params, called)
+        tally = Tally(len(planned) - len(plan), len(planned), lambda: "")
+        coordinate(work, callback, executor, tally, show, patience)
         return self.confirmation(level)
 
+    def _best(self) -> str:
+        if not any(t.ok for t in self.trials()):
+            return ""
+        best = self.best()
+        return f"best so far: trial {best.trial}, {best.mean:.4g} ± {best.std:.2g}"
 
-def _evaluate(callback: Callback, request: EvalRequest) -> EvalResult:
-    request.workdir.mkdir(parents=True, exist_ok=True)
-    try:
-        result = callback(request)
-    except (OSError, MemoryError):
-        raise  # a full disk is not the design's fault: the evaluation stays open
-    except Exception as error:
-        logger.warning("trial %d: the evaluation raised %r", request.trial, error)
-        return EvalResult.failure("crash", traceback.format_exc()[-2000:])
-    if not isinstance(result, EvalResult):
-        raise TypeError(f"the callback returned {type(result).__name__}; it must return an EvalResult")
-    return result
+
+def _name(predicate: Feasible) -> str:
+    named = predicate if hasattr(predicate, "__qualname__") else type(predicate)
+    return f"{named.__module__}:{named.__qualname__}"

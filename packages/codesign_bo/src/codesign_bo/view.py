@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from codesign_bo.confirm import Confirmation, analyse
+from codesign_bo.confirm import NOMINAL_TRIAL, Confirmation, analyse
+from codesign_bo.data import Observations, Viability, figure, tells_viability
 from codesign_bo.errors import StudyError
 from codesign_bo.interfaces import EvalResult
-from codesign_bo.proposal import derive_seed
-from codesign_bo.records import ConfirmationRecord, QueuedRecord, ScreeningRecord, TrialRecord
-from codesign_bo.space import Array, BoxSpace
+from codesign_bo.records import (
+    AttemptRecord,
+    ConfirmationRecord,
+    HistoryRecord,
+    QueuedRecord,
+    ScoreRecord,
+    ScreeningRecord,
+    TrialRecord,
+)
+from codesign_bo.space import Array, BoxSpace, Value
+from codesign_bo.stopping import Savings
 from codesign_bo.storage import Storage
-from codesign_bo.surrogate import LeaveOneOut, Surrogate, fit_surrogate, leave_one_out, slices
+
+# Models are imported where they are used: torch takes seconds and 300 MB, and a script that opens a study is imported
+# again by the process of each of its evaluations.
+if TYPE_CHECKING:
+    from codesign_bo.fidelity import Verdict
+    from codesign_bo.pareto import ParetoFront
+    from codesign_bo.proposal import Belief
+    from codesign_bo.recommend import Recommendation
+    from codesign_bo.surrogate import LeaveOneOut, Surrogate
+    from codesign_bo.viability import ViabilityModel
 
 
 @dataclass(frozen=True)
@@ -33,7 +52,7 @@ class Estimate:
     """
 
     trial: int
-    params: Mapping[str, float]
+    params: Mapping[str, Value]
     mean: float
     std: float
     result: EvalResult
@@ -44,7 +63,8 @@ class Slice:
     """The posterior along one parameter, the others held at the best design.
 
     Attributes:
-        values: Values (n,) of the parameter, from its lower to its upper bound.
+        values: Values (n,) of the parameter, from its lower to its upper bound; of a categorical one, the
+            index of its choice.
         mean: Posterior mean (n,) of the objective.
         std: Posterior standard deviation (n,).
     """
@@ -52,6 +72,15 @@ class Slice:
     values: Array
     mean: Array
     std: Array
+
+
+@dataclass(frozen=True)
+class _Fit:
+    data: Observations
+    scores: list[ScoreRecord]
+    surrogate: Surrogate
+    verdicts: list[Verdict]
+    seconds: float
 
 
 class StudyView:
@@ -66,12 +95,13 @@ class StudyView:
         if header is None:
             raise StudyError(f"{storage.path} holds no study yet: it was interrupted while being created")
         self._storage = storage
-        self._fitted: tuple[list[TrialRecord], Surrogate] | None = None
+        self._fits: dict[str | None, _Fit] = {}
         self.path = storage.path
         self.space = BoxSpace.from_signature(header.space)
         self.seed = header.seed
         self.n_init = header.n_init
         self.maximize = header.maximize
+        self.objectives = dict(header.objectives)
 
     def __enter__(self) -> Self:
         return self
@@ -85,9 +115,25 @@ class StudyView:
         """Close the file; a writer frees its lock."""
         self._storage.close()
 
+    # --- tables ---------------------------------------------------------------------------------------
+
+    @property
+    def identity(self) -> str:
+        """What tells this study from all others; copies of it share it."""
+        return self._storage.identity
+
+    @property
+    def predicate(self) -> str | None:
+        """Name of the feasibility predicate that the study was last opened with, or None."""
+        return self._storage.predicate()
+
     def trials(self) -> list[TrialRecord]:
         """Return the trial table, by number."""
         return self._storage.trials()
+
+    def attempts(self) -> list[AttemptRecord]:
+        """Return every dispatch of every evaluation, with what was told of it, counted or not."""
+        return self._storage.attempts()
 
     def queue(self) -> list[QueuedRecord]:
         """Return the user's queue, first come first."""
@@ -96,6 +142,10 @@ class StudyView:
     def screening(self) -> list[ScreeningRecord]:
         """Return the screening table."""
         return self._storage.screening()
+
+    def history(self) -> list[HistoryRecord]:
+        """Return what was imported from other studies, in the order it came."""
+        return self._storage.history()
 
     def confirmations(self) -> list[ConfirmationRecord]:
         """Return the confirmation runs, by trial and repeat."""
@@ -106,8 +156,145 @@ class StudyView:
         params = {t.trial: t.params for t in self.trials()}
         return analyse(self.confirmations(), params, self.maximize, level)
 
-    def surrogate(self) -> Surrogate:
-        """Return the surrogate of all trials that have a score.
+    # --- data for models ------------------------------------------------------------------------------
+
+    def observations(self, objective: str | None = None) -> Observations:
+        """Return all scores in full, imported ones included.
+
+        Args:
+            objective: A further objective of the study by name; None for the main one. Imported results
+                that lack it are left out.
+
+        Raises:
+            ValueError: The study has no such objective.
+        """
+        if objective is not None and objective not in self.objectives:
+            raise ValueError(f"{self.path} has no objective {objective!r}; it has {list(self.objectives)}")
+        own = [(t.trial, t.params, t.result) for t in self.trials() if t.ok and t.result is not None]
+        imported = [
+            (h.trial, h.params, h.result)
+            for h in self.history()
+            if h.result.ok and (objective is None or objective in h.result.extras)
+        ]
+        rows = own + imported
+        figures = np.array([figure(result, objective) for _, _, result in rows]).reshape(-1, 2)
+        return Observations(
+            self._unit(params for _, params, _ in rows),
+            figures[:, 0],
+            figures[:, 1],
+            np.arange(len(rows)) >= len(own),
+            np.array([trial for trial, _, _ in rows], dtype=np.int64),
+        )
+
+    def viability(self) -> Viability:
+        """Return which designs could be evaluated at all, imported ones included."""
+        rows = [(t.params, t.result) for t in self.trials() if t.result is not None]
+        rows += [(h.params, h.result) for h in self.history()]
+        rows = [(params, result) for params, result in rows if tells_viability(result)]
+        return Viability(
+            self._unit(params for params, _ in rows), np.array([not r.failed for _, r in rows], dtype=bool)
+        )
+
+    def scores(self) -> list[ScoreRecord]:
+        """Return all scores at lower fidelities: screening, and what came up on the way of each trial."""
+        screened = [ScoreRecord(s.params, 0.0, s.value, s.sem, None) for s in self.screening()]
+        return screened + [
+            ScoreRecord(t.params, score.fidelity, score.mean, score.sem, t.trial)
+            for t in self.trials()
+            if t.result is not None
+            for score in t.result.scores
+        ]
+
+    def savings(self) -> Savings:
+        """Return what stopping hopeless evaluations saved."""
+        results = [t.result for t in self.trials() if t.result is not None]
+        stopped = [r for r in results if r.status == "stopped"]
+        saved = sum(1.0 - r.scores[-1].fidelity for r in stopped)
+        return Savings(len(stopped), sum(not r.failed for r in results), saved)
+
+    def _unit(self, params: Iterable[Mapping[str, Value]]) -> Array:
+        return self.space.to_unit(self.space.designs(params))
+
+    # --- what the surrogate says ----------------------------------------------------------------------
+
+    def surrogate(self, objective: str | None = None) -> Surrogate:
+        """Return the surrogate of all scores in full, imported ones included.
+
+        That of the main objective also learns from scores at lower fidelities, if `fidelity_verdicts` favours it.
+
+        Args:
+            objective: A further objective of the study by name; None for the main one.
+
+        Raises:
+            StudyError: There is no score yet.
+            ValueError: The study has no such objective.
+        """
+        return self._fit(objective).surrogate
+
+    def fidelity_verdicts(self) -> list[Verdict]:
+        """Return whether scores at lower fidelities help to predict the objective (see `codesign_bo.fidelity`).
+
+        Raises:
+            StudyError: There is no score yet.
+        """
+        return list(self._fit(None).verdicts)
+
+    def viability_model(self) -> ViabilityModel | None:
+        """Return a model of the probability that a design can be evaluated; None as long as none has failed."""
+        from codesign_bo.viability import fit_viability
+
+        return fit_viability(self.space, self.viability())
+
+    def belief(self) -> Belief:
+        """Return what the next proposal is based on.
+
+        Raises:
+            StudyError: There is no score yet.
+        """
+        from codesign_bo.acquire import Objective
+        from codesign_bo.proposal import Belief
+
+        main = Objective(self.surrogate(), self.maximize)
+        further = [Objective(self.surrogate(name), way == "maximize") for name, way in self.objectives.items()]
+        return Belief((main, *further), self.viability_model())
+
+    def fit_seconds(self) -> float:
+        """Return how long it took to fit the present surrogates."""
+        return sum(fit.seconds for fit in self._fits.values())
+
+    def pareto(self) -> ParetoFront:
+        """Return the study's own designs that no other beats in all objectives, by posterior means.
+
+        Raises:
+            StudyError: No trial has a score yet.
+        """
+        from codesign_bo.pareto import pareto_front
+
+        scored = [t for t in self.trials() if t.ok]
+        names = [None, *self.objectives]
+        predictions = [self.surrogate(name).predict(self._unit(t.params for t in scored)) for name in names]
+        mean, std = (np.column_stack(columns) for columns in zip(*predictions, strict=True))
+        ways = [self.maximize, *(way == "maximize" for way in self.objectives.values())]
+        return pareto_front(["mean", *self.objectives], [t.trial for t in scored], mean, std, ways)
+
+    def _fit(self, objective: str | None) -> _Fit:
+        data = self.observations(objective)
+        if not len(data.y):
+            raise StudyError(f"no trial of {self.path} has a score yet")
+        scores = self.scores() if objective is None else []
+        found = self._fits.get(objective)
+        if found is None or not _same(found.data, data) or found.scores != scores:
+            from codesign_bo.fidelity import fit_with_scores
+            from codesign_bo.proposal import derive_seed
+
+            started = time.monotonic()
+            seed = derive_seed(self.seed, 0, 3)
+            surrogate, verdicts = fit_with_scores(data.x, data.y, data.sem, seed, self.space, scores)
+            found = self._fits[objective] = _Fit(data, scores, surrogate, verdicts, time.monotonic() - started)
+        return found
+
+    def ranking(self) -> list[Estimate]:
+        """Return the study's own designs that have a score in full, the best posterior mean first.
 
         Raises:
             StudyError: There is none yet.
@@ -115,28 +302,10 @@ class StudyView:
         scored = [t for t in self.trials() if t.ok]
         if not scored:
             raise StudyError(f"no trial of {self.path} has a score yet")
-        if self._fitted is None or self._fitted[0] != scored:
-            results = [t.result for t in scored if t.result is not None]
-            surrogate = fit_surrogate(
-                self.space.to_unit(self.space.designs(t.params for t in scored)),
-                np.array([r.mean for r in results]),
-                np.array([np.nan if r.sem is None else r.sem for r in results]),
-                derive_seed(self.seed, 0, 3),
-            )
-            self._fitted = (scored, surrogate)
-        return self._fitted[1]
-
-    def ranking(self) -> list[Estimate]:
-        """Return all designs with a score, the best posterior mean first.
-
-        Raises:
-            StudyError: There is none yet.
-        """
-        surrogate = self.surrogate()
-        mean, std = surrogate.predict(surrogate.x)
+        mean, std = self.surrogate().predict(self._unit(t.params for t in scored))
         estimates = [
             Estimate(t.trial, t.params, float(m), float(s), t.result)
-            for t, m, s in zip([t for t in self.trials() if t.ok], mean, std, strict=True)
+            for t, m, s in zip(scored, mean, std, strict=True)
             if t.result is not None
         ]
         sign = -1.0 if self.maximize else 1.0
@@ -150,20 +319,54 @@ class StudyView:
         """
         return self.ranking()[0]
 
+    def recommend(self, level: float = 0.95) -> Recommendation:
+        """Return the design to take, and its gain over the nominal one.
+
+        Once designs are confirmed, on at least 2 seeds, the confirmation runs decide; before, the surrogate does.
+
+        Args:
+            level: Level of the interval of the gain.
+
+        Raises:
+            StudyError: No trial has a score yet.
+        """
+        from codesign_bo.recommend import Recommendation, posterior_gain
+
+        nominal = self.space.nominal
+        best = self.confirmation(level).best
+        if best is not None and best.repeats > 1:
+            measured = (best.gain, best.low, best.high, best.probability)
+            if best.gain > 0.0:
+                return Recommendation(best.trial, dict(best.params), *measured, level, "confirmation")
+            return Recommendation(NOMINAL_TRIAL, nominal, 0.0, 0.0, 0.0, 0.0, level, "confirmation")
+        estimate = self.best()
+        if dict(estimate.params) == nominal:
+            return Recommendation(NOMINAL_TRIAL, nominal, 0.0, 0.0, 0.0, 0.0, level, "posterior")
+        point, base = self._unit([estimate.params, nominal])
+        believed = posterior_gain(self.surrogate(), point, base, self.maximize, level)
+        return Recommendation(estimate.trial, estimate.params, *believed, level, "posterior")
+
     def slices(self, n: int = 41) -> dict[str, Slice]:
         """Return the posterior on lines through the best design, by free parameter.
 
         Args:
-            n: Number of points on each line.
+            n: Number of points on each line, spread evenly over the edge of the unit cube.
         """
-        best = self.space.to_unit(self.space.designs([self.best().params]))[0]
+        from codesign_bo.surrogate import slices
+
+        best = self._unit([self.best().params])[0]
         positions, mean, std = slices(self.surrogate(), best, n)
-        free = [p for p in self.space.parameters if not p.fixed]
-        return {p.name: Slice(p.low + positions * (p.high - p.low), mean[i], std[i]) for i, p in enumerate(free)}
+        return {p.name: Slice(p.from_unit(positions), mean[i], std[i]) for i, p in enumerate(self.space.free)}
 
     def leave_one_out(self) -> LeaveOneOut:
         """Return how well the surrogate predicts each trial from the others."""
+        from codesign_bo.surrogate import leave_one_out
+
         return leave_one_out(self.surrogate())
+
+
+def _same(a: Observations, b: Observations) -> bool:
+    return all(np.array_equal(getattr(a, k), getattr(b, k), equal_nan=True) for k in ("x", "y", "sem"))
 
 
 def open_study(path: Path | str) -> StudyView:

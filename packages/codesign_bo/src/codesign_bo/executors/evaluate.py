@@ -6,6 +6,7 @@ import pickle
 import traceback
 from collections.abc import Callable
 
+from codesign_bo.errors import DivergedError
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult, FailureKind
 
 CANCELLED = EvalResult.failure("lost", "cancelled")
@@ -32,15 +33,17 @@ def evaluate(callback: Callback, request: EvalRequest) -> str:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit too: a pool's thread would pass it on to the coordinator
-        trace = traceback.format_exc()[-_TAIL:]
-        return EvalResult.failure(_kind(error, trace), trace).to_json()
+        return failure(error).to_json()
 
 
-def _kind(error: BaseException, trace: str) -> FailureKind:
+def failure(error: BaseException) -> EvalResult:
+    """Return what an exception says of an evaluation, with the end of its traceback."""
+    kind: FailureKind = "crash"
     if isinstance(error, OSError):
-        return "lost"
-    not_finite = isinstance(error, ValueError) and "EvalResult.mean is " in trace
-    return "diverged" if not_finite or isinstance(error, FloatingPointError) else "crash"
+        kind = "lost"
+    elif isinstance(error, (DivergedError, FloatingPointError)):
+        kind = "diverged"
+    return EvalResult.failure(kind, "".join(traceback.format_exception(error))[-_TAIL:])
 
 
 class PickledCallback:

@@ -129,7 +129,7 @@ class Polytope:
                 edges.append(edge)
                 direction = rest @ edge
             done = np.linalg.qr(np.vstack([done, direction]).T)[0].T
-        return corner, np.array(edges).reshape(-1, len(corner))
+        return corner, np.array(edges).reshape(len(edges), len(corner))
 
     def walk(self, n: int, rng: np.random.Generator) -> Array:
         """Return n independent, nearly uniform points (n, m) of a polytope without integer coordinates.

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from codesign_bo.errors import StudyError
 from codesign_bo.space.box import BoxSpace
@@ -96,6 +95,8 @@ def sobol_designs(space: BoxSpace, n: int, seed: int, feasible: Feasible | None 
 
 
 def _sobol_blocks(space: BoxSpace, seed: int) -> Iterator[Array]:
+    import torch  # takes seconds, and the process of an evaluation imports this module without a need for it
+
     engine = torch.quasirandom.SobolEngine(space.dim, scramble=True, seed=seed)
     while True:
         yield space.snap(engine.draw(_BLOCK, dtype=torch.float64).numpy())

@@ -17,7 +17,7 @@ from typing import Any
 
 from codesign_bo.interfaces import EvalRequest, EvalResult
 
-WAIT = 120.0  # s; ends everything here in case nobody else does
+WAIT = 300.0  # s; ends everything here in case nobody else does
 
 
 def echo(request: EvalRequest) -> EvalResult:

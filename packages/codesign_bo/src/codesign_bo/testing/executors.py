@@ -178,7 +178,7 @@ def request(
     x: float = 0.5,
     attempt: int = 1,
     seed: int = 0,
-    fidelity: str | float = "full",
+    fidelity: float = 1.0,
     deadline: float | None = None,
 ) -> EvalRequest:
     """Return a request whose work folder is `folder/<trial>`."""
@@ -212,8 +212,8 @@ def gone(process: int) -> None:
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Wait until a condition holds, or fail after two minutes."""
+    """Wait until a condition holds, or fail after five minutes."""
     end = time.monotonic() + callbacks.WAIT
     while not condition():
-        assert time.monotonic() < end, "nothing happened for two minutes"
+        assert time.monotonic() < end, "nothing happened for five minutes"
         time.sleep(0.02)

@@ -24,7 +24,8 @@ class StudyLock:
     """
 
     def __init__(self, study: Path) -> None:
-        self._path = study.with_name(study.name + ".lock").resolve()
+        real = study.resolve()  # links to one study share its lock
+        self._path = real.with_name(real.name + ".lock")
         self._key = (os.getpid(), self._path)
         if self._key in _held:
             raise StudyError(f"{study} is already open for writing in this process; close that Study first")
@@ -38,9 +39,13 @@ class StudyLock:
                 f"{study} is in use by another coordinator ({holder or 'process unknown'}); "
                 "a study has one writer: wait until it ends, or stop it"
             ) from error
-        os.ftruncate(self._fd, 0)
-        os.write(self._fd, f"process {os.getpid()}\n".encode())
         _held.add(self._key)
+        try:
+            os.ftruncate(self._fd, 0)
+            os.write(self._fd, f"process {os.getpid()}\n".encode())
+        except OSError:
+            self.release()
+            raise
 
     def release(self) -> None:
         """Free the lock. The file stays, because deleting it would race with the next coordinator."""

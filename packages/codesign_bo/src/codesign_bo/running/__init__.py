@@ -1,0 +1,1 @@
+"""Running evaluations: dispatch, the loop that keeps an executor busy, and what is shown meanwhile."""
