@@ -92,7 +92,7 @@ def choose(study: Study) -> Choice:
     return Choice(
         trial=trial,
         repeat=teacher.repeat,
-        params=dict(study.trials()[trial].params),
+        params={name: float(value) for name, value in study.trials()[trial].params.items()},
         mean=best.mean if trial else best.nominal_mean,
         nominal=best.nominal_mean,
         gain=gain,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from gpytorch.distributions import MultivariateNormal
 from scipy import stats
 
 from codesign_bo.errors import StudyError
@@ -127,12 +128,12 @@ def sobol_indices(function: Callable[[Array], Array], dim: int, seed: int, n: in
 def log_likelihood(surrogate: Surrogate) -> float:
     """Return the log marginal likelihood of the standardised scores."""
     with torch.no_grad():
-        return float(surrogate.gp.observed().log_prob(surrogate.gp.y))
+        return float(MultivariateNormal(*surrogate.gp.observed()).log_prob(surrogate.gp.y))
 
 
 def refit(view: StudyView, x: Array, y: Array, sem: Array) -> Surrogate:
     """Return the surrogate that the study would fit to other data: points (n, dim), means (n,), errors (n,)."""
-    return fit_surrogate(x, y, sem, derive_seed(view.seed, 0, 3))
+    return fit_surrogate(x, y, sem, derive_seed(view.seed, 0, 3), view.space)
 
 
 def _blind(view: StudyView, surrogate: Surrogate, axes: list[int]) -> Surrogate:

@@ -37,8 +37,7 @@ class Check:
 
 def worst(checks: Sequence[Check]) -> Severity:
     """Return the highest severity."""
-    found: list[Severity] = [c.severity for c in checks]
-    return min(found, key=SEVERITIES.index, default="ok")
+    return SEVERITIES[min((SEVERITIES.index(c.severity) for c in checks), default=SEVERITIES.index("ok"))]
 
 
 def listed(words: Sequence[str]) -> str:

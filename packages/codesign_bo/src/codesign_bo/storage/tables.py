@@ -139,7 +139,7 @@ class Storage(Tables):
                 raise StudyError(f"trial {trial} of {self.path} has a result of this attempt: {stored}")
             final = settled is None and self._is_final(trial, repeat, token, lost, retries)
             self._db.execute(
-                "UPDATE attempts SET status='lost', ended=?, message=?, final=? WHERE token=?",
+                "UPDATE attempts SET status='lost', ended=?, message=?, final=MAX(final, ?) WHERE token=?",
                 (time.time(), lost.message, final, token),
             )
             if final:
