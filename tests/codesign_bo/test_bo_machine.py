@@ -76,7 +76,8 @@ class StudyMachine(RuleBasedStateMachine):
         return [token for token, a in self.attempts.items() if a.trial == trial][-1]
 
     def tokens(self, told):
-        return sorted(token for token, a in self.attempts.items() if (a.told is not None) == told)
+        # in the order of dispatch: tokens are random, and a replay must draw the same attempts
+        return [token for token, a in self.attempts.items() if (a.told is not None) == told]
 
     # --- what happens -----------------------------------------------------------------------------------
 

@@ -23,7 +23,7 @@ from codesign_bo.plots.calibration import Calibration
 from codesign_bo.plots.convergence import Convergence
 from codesign_bo.plots.landscape import Landscape
 from codesign_bo.plots.pairs import Pairs
-from codesign_bo.plots.pareto import Front, non_dominated
+from codesign_bo.plots.pareto import Front
 from codesign_bo.plots.sensitivity import Importance
 from codesign_bo.plots.slices import Slices
 from codesign_bo.plots.style import OUTCOMES, Z95, levels, value_text
@@ -31,8 +31,6 @@ from codesign_bo.plots.timeline import Timeline
 from codesign_bo.records import AttemptRecord
 from codesign_bo.sensitivity import Effect
 from codesign_bo.surrogate import LeaveOneOut
-from hypothesis import given
-from hypothesis import strategies as st
 from matplotlib.collections import QuadMesh
 
 SQUARE = BoxSpace.box(["a", "b"], 0.0, 1.0, 0.5)
@@ -315,16 +313,6 @@ def test_the_front_by_hand(told):
     sentence = Front.of(study).sentence(Labels())
     assert "3 of 4 results are beaten by no other" in sentence
     assert "the nominal design is beaten" in sentence
-
-
-@given(
-    st.lists(st.tuples(*[st.integers(0, 4)] * 3), min_size=1, max_size=12),
-)
-def test_non_dominated_is_what_no_other_dominates(rows):
-    kept = non_dominated(np.array(rows, dtype=float))
-    for i, row in enumerate(rows):
-        beaten = any(all(o >= r for o, r in zip(other, row, strict=True)) and other != row for other in rows)
-        assert kept[i] != beaten
 
 
 # --- time line ------------------------------------------------------------------------------------------

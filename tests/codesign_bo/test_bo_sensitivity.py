@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from codesign_bo import BoxSpace, Categorical, Continuous, EvalResult, Integer, Study, StudyError
 from codesign_bo.failures import failure_cluster
-from codesign_bo.sensitivity import any_effect, sensitivity, sobol_indices
+from codesign_bo.sensitivity import any_effect, constant_log_likelihood, sensitivity, sobol_indices
 
 CUBE = BoxSpace.box(["a", "b", "c"], 0.0, 1.0, 0.5)
 
@@ -89,6 +89,14 @@ def test_what_does_nothing_is_rarely_called_identifiable(tmp_path):
             effects += any_effect(study)
     assert told <= 4
     assert effects <= 2
+
+
+def test_noise_alone_has_the_likelihood_of_a_normal_sample(tmp_path):
+    """Without known errors: -n/2 (log(2 pi v) + 1), with the variance v = (n - 1)/n of standardised scores."""
+    noise = np.random.default_rng(3)
+    with study_of(tmp_path / "s.sqlite", CUBE, scattered(11, 0), lambda p: EvalResult(7 + 2 * noise.normal())) as study:
+        found = constant_log_likelihood(study.surrogate())
+    assert found == pytest.approx(-6 * (np.log(2 * np.pi * 11 / 12) + 1), abs=0.01)
 
 
 def test_effects_of_a_categorical_and_an_integer(tmp_path):

@@ -150,7 +150,7 @@ def test_play_without_its_extra_says_what_to_install(monkeypatch, capsys):
         (["play", "--robot", "box", "--task", "dance"], "there is no task 'dance'"),
         (["play", "--robot", "box", "--policy", "wave"], "no policy 'wave'"),
         (["play", "--robot", "box", "--design", 1, 1], "has 4 parameters"),
-        (["play", "--robot", "box", "--task", "locomotion-hills", "--level", 10], "levels 0 to 9, got 10"),
+        (["play", "--robot", "box", "--task", "locomotion-hills", "--level", 10], "levels 0 to 4, got 10"),
         (["play", "--robot", "crate", "--policy", "{run}/policy.pt"], "cannot control 'crate'"),
         (["play", "--robot", "box", "-o", "out.gif"], "a video is an .mp4 file"),
         (["evaluate", "nowhere.pt", "--robot", "box"], "no checkpoint at nowhere.pt"),

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from gpytorch.distributions import MultivariateNormal
 from scipy import stats
+from torch.distributions import MultivariateNormal
 
 from codesign_bo.errors import StudyError
+from codesign_bo.fidelity import fit_with_scores
 from codesign_bo.proposal import derive_seed
+from codesign_bo.records import ScoreRecord
 from codesign_bo.space import Array
-from codesign_bo.surrogate import Surrogate, fit_surrogate
+from codesign_bo.surrogate import Surrogate
 from codesign_bo.view import StudyView
 
 LEVEL = 0.95
@@ -21,6 +23,7 @@ LEVEL = 0.95
 
 _POINTS = 1024
 _BLOCK = 512
+_LOG_NOISES = np.linspace(-14.0, 3.0, 341)  # variances to choose from, fine enough for two decimals
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Effect:
         first: First-order Sobol index: share of the variance of the posterior mean that the parameter explains alone.
         total: Total-order index: share that it explains alone or together with others.
         ratio: Likelihood ratio, twice the difference of log marginal likelihoods: how much better the surrogate
-            explains the scores than one that does not see the parameter.
+            explains the scores than one that does not see the parameter, or than noise alone.
         identifiable: Whether `ratio` is more than chance gives in 95 % of cases (chi-squared, one degree of freedom).
     """
 
@@ -58,12 +61,12 @@ def sensitivity(view: StudyView) -> list[Effect]:
     if len(surrogate.y) < 3:
         raise StudyError(f"{view.path} has {len(surrogate.y)} scores; effects of parameters need at least 3")
     first, total = posterior_indices(view, surrogate)
-    full = log_likelihood(surrogate)
+    full, constant = log_likelihood(_blind(view, surrogate, [])), constant_log_likelihood(surrogate)
     bar = float(stats.chi2.ppf(LEVEL, 1))
     effects: list[Effect] = []
     for axis, name in enumerate(view.space.free_names):
-        ratio = 2.0 * (full - log_likelihood(_blind(view, surrogate, [axis])))
-        scale = float(surrogate.lengthscales[axis])
+        without = max(log_likelihood(_blind(view, surrogate, [axis])), constant)
+        ratio, scale = 2.0 * (full - without), float(surrogate.lengthscales[axis])
         effects.append(Effect(name, scale, float(first[axis]), float(total[axis]), ratio, ratio > bar))
     return effects
 
@@ -79,8 +82,7 @@ def any_effect(view: StudyView) -> bool:
     surrogate = view.surrogate()
     if len(surrogate.y) < 3:
         raise StudyError(f"{view.path} has {len(surrogate.y)} scores; effects of parameters need at least 3")
-    constant = _blind(view, surrogate, list(range(view.space.dim)))
-    ratio = 2.0 * (log_likelihood(surrogate) - log_likelihood(constant))
+    ratio = 2.0 * (log_likelihood(_blind(view, surrogate, [])) - constant_log_likelihood(surrogate))
     return ratio > float(stats.chi2.ppf(LEVEL, view.space.dim))
 
 
@@ -131,13 +133,33 @@ def log_likelihood(surrogate: Surrogate) -> float:
         return float(MultivariateNormal(*surrogate.gp.observed()).log_prob(surrogate.gp.y))
 
 
-def refit(view: StudyView, x: Array, y: Array, sem: Array) -> Surrogate:
-    """Return the surrogate that the study would fit to other data: points (n, dim), means (n,), errors (n,)."""
-    return fit_surrogate(x, y, sem, derive_seed(view.seed, 0, 3), view.space)
+def constant_log_likelihood(surrogate: Surrogate) -> float:
+    """Return the highest log likelihood of the standardised scores if all designs are equal.
+
+    Mean and noise beyond the known errors are free, without the prior by which the surrogate expects little noise.
+    """
+    y, known = (surrogate.y - surrogate.shift) / surrogate.scale, (surrogate.sem / surrogate.scale) ** 2
+    variance = known[:, None] + np.exp(_LOG_NOISES)
+    mean = np.sum(y[:, None] / variance, axis=0) / np.sum(1.0 / variance, axis=0)
+    density = -0.5 * np.sum((y[:, None] - mean) ** 2 / variance + np.log(2.0 * np.pi * variance), axis=0)
+    return float(density.max())
+
+
+def refit(view: StudyView, x: Array, y: Array, sem: Array, scores: Sequence[ScoreRecord] = ()) -> Surrogate:
+    """Return the surrogate that the study would fit to other data.
+
+    Args:
+        view: The study.
+        x: Points (n, dim) of the unit cube.
+        y: Means (n,).
+        sem: Standard errors (n,), NaN where unknown.
+        scores: Scores at lower fidelities.
+    """
+    return fit_with_scores(x, y, sem, derive_seed(view.seed, 0, 3), view.space, scores)[0]
 
 
 def _blind(view: StudyView, surrogate: Surrogate, axes: list[int]) -> Surrogate:
-    """Return a surrogate of the same scores to which some parameters look the same in all designs."""
+    """Return a surrogate of the scores in full, and of these alone, to which some parameters look all the same."""
     points = surrogate.x.copy()
     points[:, axes] = 0.5
     return refit(view, points, surrogate.y, surrogate.sem)

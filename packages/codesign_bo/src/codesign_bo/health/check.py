@@ -37,7 +37,8 @@ class Check:
 
 def worst(checks: Sequence[Check]) -> Severity:
     """Return the highest severity."""
-    return SEVERITIES[min((SEVERITIES.index(c.severity) for c in checks), default=SEVERITIES.index("ok"))]
+    found: list[Severity] = [c.severity for c in checks]
+    return min(found, key=SEVERITIES.index) if found else "ok"
 
 
 def listed(words: Sequence[str]) -> str:

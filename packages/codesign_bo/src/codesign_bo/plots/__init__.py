@@ -20,7 +20,7 @@ from codesign_bo.plots.convergence import plot_convergence
 from codesign_bo.plots.gallery import PICTURES
 from codesign_bo.plots.landscape import plot_landscape
 from codesign_bo.plots.pairs import plot_pairs
-from codesign_bo.plots.pareto import non_dominated, plot_pareto
+from codesign_bo.plots.pareto import plot_pareto
 from codesign_bo.plots.picture import NothingToShowError, Picture
 from codesign_bo.plots.report import Report, write_report
 from codesign_bo.plots.sensitivity import plot_sensitivity
@@ -34,7 +34,6 @@ __all__ = [
     "NothingToShowError",
     "Picture",
     "Report",
-    "non_dominated",
     "plot_calibration",
     "plot_convergence",
     "plot_landscape",

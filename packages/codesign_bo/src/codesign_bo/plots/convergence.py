@@ -181,7 +181,8 @@ def plot_convergence(view: StudyView, labels: Labels = PLAIN) -> Figure:
 def _recommended(view: StudyView, data: Observations, trial: int) -> tuple[float, float, int]:
     """Return mean, standard deviation and trial of the best own design, knowing the trials up to `trial`."""
     known = data.imported | (data.trial <= trial)
-    surrogate = refit(view, data.x[known], data.y[known], data.sem[known])
+    scores = [s for s in view.scores() if s.trial is None or s.trial <= trial]
+    surrogate = refit(view, data.x[known], data.y[known], data.sem[known], scores)
     own = known & ~data.imported
     mean, std = surrogate.predict(data.x[own])
     best = int(np.argmax(mean if view.maximize else -mean))

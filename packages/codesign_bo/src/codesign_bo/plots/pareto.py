@@ -11,17 +11,11 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from codesign_bo.confirm import NOMINAL_TRIAL
+from codesign_bo.pareto import non_dominated
 from codesign_bo.plots.picture import NothingToShowError
 from codesign_bo.plots.style import BLUE, INK, MUTED, ORANGE, PLAIN, Z95, Labels, figure, headline, label, legend
 from codesign_bo.space import Array
 from codesign_bo.view import StudyView
-
-
-def non_dominated(values: Array) -> npt.NDArray[np.bool_]:
-    """Return which rows (n, m), higher being better, no other row matches everywhere and beats somewhere (n,)."""
-    matches = np.all(values[:, None] >= values[None], axis=2)
-    beats = np.any(values[:, None] > values[None], axis=2)
-    return np.asarray(~np.any(matches & beats, axis=0))
 
 
 @dataclass(frozen=True)

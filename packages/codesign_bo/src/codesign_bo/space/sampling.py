@@ -35,7 +35,7 @@ def is_feasible(space: BoxSpace, points: Array, feasible: Feasible | None) -> np
     """
     designs = space.from_unit(points)
     mask = space.satisfied(designs)
-    if feasible is None or (len(points) and not mask.any()):
+    if feasible is None or not mask.any():
         return mask
     kept = designs[mask]
     verdict = np.asarray(feasible(kept))
