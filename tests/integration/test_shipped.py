@@ -16,7 +16,7 @@ from morphgen import BodyFactory, go2, lite3
 from legged_codesign.pretrained import shipped_policy
 
 ROBOTS = {"go2": go2, "lite3": lite3}
-WALKERS = {"go2-flat": (0.99, 0.06), "go2-rough": (0.99, 0.06)}
+WALKERS = {"go2-flat": (0.99, 0.06), "go2-rough": (0.85, 0.15)}  # hills and stairs of up to 11 cm
 """Share that must survive, and highest mean tracking error, m/s."""
 SHIPPED = sorted(path.parent.name for path in shipped_policy("go2").parents[1].glob("*/policy.pt"))
 
