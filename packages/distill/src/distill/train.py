@@ -14,11 +14,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import torch
-from torch import nn
+from torch import Tensor
 
 from distill import checkpoint
 from distill.collect import Collector
-from distill.errors import CheckpointError, TrainingDiverged
+from distill.descent import descend
+from distill.errors import CheckpointError
 from distill.imitation import LossWeights, imitation_loss
 from distill.interfaces import ACTIONS, VELOCITY, PrivilegedTeacher, StudentEnv, Teacher, check_env
 from distill.rollouts import RolloutRing
@@ -159,26 +160,12 @@ class Distiller:
 
     def _update(self, rate: float) -> dict[str, float]:
         """Gradient steps on the ring; the mean of every loss."""
-        for group in self._optimizer.param_groups:
-            group["lr"] = rate
-        sums = torch.zeros(4)
-        for _ in range(self.config.updates):
-            samples = self._ring.sample(self.config.batch)
-            loss = imitation_loss(self.student, samples, self.config.weights)
-            values = torch.stack([term.detach() for term in loss]).cpu()
-            if not torch.isfinite(values).all():
-                terms = ", ".join(f"{name} {value:.3g}" for name, value in loss._asdict().items())
-                raise TrainingDiverged(
-                    f"iteration {self.iteration}: the loss is not finite ({terms}); "
-                    f"the last checkpoint is kept; start again with a learning rate below {rate:.1e}"
-                )
-            self._optimizer.zero_grad()
-            loss.total.backward()
-            nn.utils.clip_grad_norm_(self.student.parameters(), self.config.max_grad_norm)
-            self._optimizer.step()
-            sums += values
-        total, action, velocity, latent = (sums / self.config.updates).tolist()
-        return {"loss": total, "action_loss": action, "velocity_loss": velocity, "latent_loss": latent}
+        config = self.config
+
+        def loss() -> dict[str, Tensor]:
+            return imitation_loss(self.student, self._ring.sample(config.batch), config.weights)._asdict()
+
+        return descend(self._optimizer, loss, config.updates, rate, config.max_grad_norm, self.iteration)
 
     def _identity(self) -> dict[str, object]:
         """What a checkpoint and a run must have in common."""

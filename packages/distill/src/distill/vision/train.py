@@ -12,16 +12,17 @@ from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from torch import nn
+from torch import Tensor
 
 from distill import checkpoint
 from distill.adaptation.modules import AdaptationModule, has_scan
-from distill.errors import CheckpointError, InterfaceError, TrainingDiverged
+from distill.descent import descend
+from distill.errors import CheckpointError, InterfaceError
 from distill.interfaces import Teacher, VisionEnv, check_env
 from distill.running import check_identity, own_random_state, run, segment_seed
 from distill.vision.collect import VisionCollector
 from distill.vision.config import VisionStudentConfig, VisionTrainConfig
-from distill.vision.losses import VisionLoss, vision_loss
+from distill.vision.losses import vision_loss
 from distill.vision.sequences import SequenceMemory
 from distill.vision.student import VisionStudent, build_vision_student, vision_payload
 from distill.vision.unroll import unroll
@@ -138,33 +139,13 @@ class VisionDistiller:
     def _update(self, rate: float) -> dict[str, float]:
         """Gradient steps on the memory; the mean of every loss."""
         config = self.config
-        for group in self._optimizer.param_groups:
-            group["lr"] = rate
-        sums = torch.zeros(len(VisionLoss._fields))
-        for _ in range(config.updates):
+
+        def loss() -> dict[str, Tensor]:
             sequence = self._memory.sample(config.batch)
             found = unroll(self.student, sequence, config.threshold if config.mts else None)
-            loss = vision_loss(found, sequence, config, self.student.config.heading_limit)
-            values = torch.stack([term.detach() for term in loss]).cpu()
-            if not torch.isfinite(values).all():
-                terms = ", ".join(f"{name} {value:.3g}" for name, value in loss._asdict().items())
-                raise TrainingDiverged(
-                    f"iteration {self.iteration}: the loss is not finite ({terms}); "
-                    f"the last checkpoint is kept; start again with a learning rate below {rate:.1e}"
-                )
-            self._optimizer.zero_grad()
-            loss.total.backward()
-            nn.utils.clip_grad_norm_(self._trained, config.max_grad_norm)
-            self._optimizer.step()
-            sums += values
-        total, action, heading, terrain, velocity = (sums / config.updates).tolist()
-        return {
-            "loss": total,
-            "action_loss": action,
-            "heading_loss": heading,
-            "terrain_loss": terrain,
-            "velocity_loss": velocity,
-        }
+            return vision_loss(found, sequence, config, self.student.config.heading_limit)._asdict()
+
+        return descend(self._optimizer, loss, config.updates, rate, config.max_grad_norm, self.iteration)
 
     def _identity(self) -> dict[str, object]:
         """What a checkpoint and a run must have in common."""
