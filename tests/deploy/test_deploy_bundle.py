@@ -7,7 +7,7 @@ import jsonschema
 import numpy as np
 import pytest
 from deploy import BundleError, OnnxRuntime, check_golden, load_bundle
-from deploy.bundle import schema
+from deploy.bundles.loading import schema
 
 
 def test_intact_bundle_gives_typed_values(bundle_dir):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deploy import Controller, ControllerConfig, OnnxRuntime, RobotError, load_bundle, run
-from deploy.controller import Mode
+from deploy.control.controller import Mode
+from deploy.control.schedule import Schedule
 from deploy.interfaces import PolicyOutput
-from deploy.schedule import Schedule
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from deploy.energy import cost_of_transport, eq10, joules, positive_power
+from deploy.measure.energy import cost_of_transport, eq10, joules, positive_power
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays

@@ -10,8 +10,8 @@ import onnx
 import pytest
 from deploy import BundleError, OnnxRuntime, load_bundle
 from deploy.interfaces import RobotState
-from deploy.observation import ObservationBuilder, projected_gravity, rotate_inverse
-from deploy.policy import Policy
+from deploy.policy.observation import ObservationBuilder, projected_gravity, rotate_inverse
+from deploy.policy.tick import Policy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from deploy import RobotError, load_bundle
 from deploy.interfaces import JointCommand, RobotInterface, Simulated
-from deploy.mujoco_robot import MujocoRobot
+from deploy.robots.mujoco_robot import MujocoRobot
 
 
 @pytest.fixture

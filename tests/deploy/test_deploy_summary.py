@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from deploy.log import RunInfo
-from deploy.summary import summarise
-from deploy.trace import Trace
+from deploy.logs.trace import Trace
+from deploy.logs.writer import RunInfo
+from deploy.measure.summary import summarise
 
 HZ = 50
 SPEED = 0.5

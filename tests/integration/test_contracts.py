@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import torch
 from deploy.interfaces import JointCommand, RobotState
-from deploy.mujoco_robot import MujocoRobot
-from deploy.observation import ObservationBuilder
+from deploy.policy.observation import ObservationBuilder
+from deploy.robots.mujoco_robot import MujocoRobot
 from locorl import LeggedEnv, Policy, TaskConfig, no_randomisation, sample_designs
 from morphgen import BodyFactory
 

@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
-from deploy.bundle import load_bundle
+from deploy.bundles.golden import check_golden
+from deploy.bundles.loading import load_bundle
 from deploy.errors import DeployError
-from deploy.golden import check_golden
-from deploy.runtime import OnnxRuntime
+from deploy.measure.summary import RunSummary
+from deploy.policy.onnx_runtime import OnnxRuntime
 from deploy.session import report, run
-from deploy.summary import RunSummary
 
 
 @dataclass(frozen=True)

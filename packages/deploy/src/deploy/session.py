@@ -8,18 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.bundle import load_bundle
-from deploy.controller import Controller, ControllerConfig, Mode
+from deploy.bundles.golden import check_golden
+from deploy.bundles.loading import load_bundle
+from deploy.bundles.manifest import Bundle
+from deploy.control.controller import Controller, ControllerConfig, Mode
+from deploy.control.schedule import Schedule
 from deploy.errors import DeployError
-from deploy.golden import check_golden
 from deploy.interfaces import RobotInterface, Simulated
-from deploy.log import LogWriter, RunInfo
-from deploy.manifest import Bundle
-from deploy.messages import Sample
-from deploy.runtime import OnnxRuntime
-from deploy.schedule import Schedule
-from deploy.summary import FINISHED, RunSummary, summarise
-from deploy.trace import TraceRecorder, read_log
+from deploy.logs.messages import Sample
+from deploy.logs.trace import TraceRecorder, read_log
+from deploy.logs.writer import LogWriter, RunInfo
+from deploy.measure.summary import FINISHED, RunSummary, summarise
+from deploy.policy.onnx_runtime import OnnxRuntime
 
 FALLEN_SHARE = 0.4
 """A simulated base lower over its feet than this share of its height at the start has fallen."""
@@ -106,7 +106,7 @@ def report(log: str | Path) -> RunSummary:
 
 def _simulate(bundle: Bundle, seed: int) -> RobotInterface:
     try:
-        from deploy.mujoco_robot import MujocoRobot
+        from deploy.robots.mujoco_robot import MujocoRobot
     except ImportError as error:
         raise DeployError("no robot given and mujoco is missing: pip install 'legged-deploy[sim]'") from error
     return MujocoRobot(bundle, seed=seed)

@@ -11,12 +11,12 @@ from enum import Enum
 
 import numpy as np
 
-from deploy.binding import JointBinding
-from deploy.guards import GuardLimits, Guards
+from deploy.bundles.manifest import Bundle
+from deploy.control.binding import JointBinding
+from deploy.control.guards import GuardLimits, Guards
+from deploy.control.schedule import Slot
 from deploy.interfaces import Array, JointCommand, PolicyRuntime, RobotInterface, RobotState
-from deploy.manifest import Bundle
-from deploy.policy import Policy, PolicyStep
-from deploy.schedule import Slot
+from deploy.policy.tick import Policy, PolicyStep
 
 
 class Mode(Enum):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.bundles.manifest import Bundle
 from deploy.interfaces import Array, RobotState
-from deploy.manifest import Bundle
 
 
 def rotate_inverse(quat_wxyz: Array, vector: Array) -> Array:

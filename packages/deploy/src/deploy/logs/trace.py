@@ -16,9 +16,9 @@ from rosbags.highlevel import AnyReader
 
 from deploy.errors import LogError
 from deploy.interfaces import Array
-from deploy.log import RunInfo
-from deploy.messages import Sample
-from deploy.observation import rotate_inverse
+from deploy.logs.messages import Sample
+from deploy.logs.writer import RunInfo
+from deploy.policy.observation import rotate_inverse
 
 READ_TOPICS = ("/joint_states", "/controller", "/timing", "/power", "/ground_truth")
 

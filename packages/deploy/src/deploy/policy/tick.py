@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.bundles.manifest import Bundle
 from deploy.interfaces import Array, PolicyRuntime, RobotState
-from deploy.manifest import Bundle
-from deploy.observation import ObservationBuilder
+from deploy.policy.observation import ObservationBuilder
 
 
 @dataclass(frozen=True)

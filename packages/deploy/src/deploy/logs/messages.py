@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from deploy.controller import Tick
+from deploy.bundles.manifest import Bundle
+from deploy.control.controller import Tick
 from deploy.interfaces import Array, EnergyReading, GroundTruth
-from deploy.manifest import Bundle
-from deploy.observation import rotate_inverse
+from deploy.policy.observation import rotate_inverse
 
 WORLD, BASE = "world", "base"
 """Frames: `world` has z up; `base` is the floating base, x forward, y left, z up."""

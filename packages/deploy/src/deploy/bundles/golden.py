@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.bundles.manifest import Bundle
 from deploy.errors import BundleError
 from deploy.interfaces import PolicyRuntime, RobotState
-from deploy.manifest import Bundle
-from deploy.policy import Policy
+from deploy.policy.tick import Policy
 
 COMPARED = ("obs", "action", "target")
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.bundles.manifest import Bundle
 from deploy.errors import RobotError
 from deploy.interfaces import (
     DepthFrame,
@@ -19,8 +20,7 @@ from deploy.interfaces import (
     RobotSpec,
     RobotState,
 )
-from deploy.manifest import Bundle
-from deploy.observation import rotate_inverse
+from deploy.policy.observation import rotate_inverse
 
 SAME_BODY = 1e-3
 """Relative difference of mass or torque limit below which model and manifest mean the same body; MJCF keeps

@@ -15,8 +15,8 @@ import jsonschema
 import numpy as np
 from jsonschema.exceptions import best_match
 
+from deploy.bundles.manifest import Bundle, build_bundle
 from deploy.errors import BundleError
-from deploy.manifest import Bundle, build_bundle
 
 MANIFEST = "manifest.json"
 

@@ -8,9 +8,9 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
+from deploy.bundles.manifest import Bundle
 from deploy.errors import BundleError
 from deploy.interfaces import PolicyOutput
-from deploy.manifest import Bundle
 
 
 class OnnxRuntime:

@@ -8,10 +8,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from deploy.energy import cost_of_transport, eq10, joules, positive_power
 from deploy.interfaces import Array
-from deploy.log import RunInfo
-from deploy.trace import Trace
+from deploy.logs.trace import Trace
+from deploy.logs.writer import RunInfo
+from deploy.measure.energy import cost_of_transport, eq10, joules, positive_power
 
 Index = NDArray[np.intp]
 

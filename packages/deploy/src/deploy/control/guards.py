@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deploy.bundles.manifest import Bundle
 from deploy.interfaces import Array, RobotState
-from deploy.manifest import Bundle
-from deploy.observation import projected_gravity
+from deploy.policy.observation import projected_gravity
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,10 @@ from types import TracebackType
 
 from mcap.writer import Writer
 
-from deploy.bundle import MANIFEST
+from deploy.bundles.loading import MANIFEST
+from deploy.bundles.manifest import Bundle
 from deploy.errors import LogError
-from deploy.manifest import Bundle
-from deploy.messages import TOPICS, Encoder, Sample
+from deploy.logs.messages import TOPICS, Encoder, Sample
 
 FLUSH_TICKS = 25
 """Ticks between flushes: a killed process loses half a second at 50 Hz."""

@@ -1,0 +1,1 @@
+"""The 50 Hz loop: states, guards, deadlines, joints bound by name."""

@@ -1,0 +1,1 @@
+"""Runs on disk: MCAP with ROS 2 messages, written and read back."""

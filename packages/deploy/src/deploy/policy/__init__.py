@@ -1,0 +1,1 @@
+"""From a robot state to joint targets: observation, network, action rule."""

@@ -1,0 +1,1 @@
+"""Robots that a policy can run on; each satisfies `deploy.interfaces.RobotInterface`."""
