@@ -24,12 +24,13 @@ if __name__ == "__main__":
 
 import numpy as np
 import tyro
-from codesign_bo.acquire import Objective
+from codesign_bo.acquisition.functions import Objective
+from codesign_bo.acquisition.proposal import Belief, propose
 from codesign_bo.data import Viability
-from codesign_bo.priors import PRIORS, Gamma, LogNormal, Priors
-from codesign_bo.proposal import Belief, derive_seed, propose
-from codesign_bo.surrogate import fit_surrogate
-from codesign_bo.viability import fit_viability
+from codesign_bo.models.priors import PRIORS, Gamma, LogNormal, Priors
+from codesign_bo.models.surrogate import fit_surrogate
+from codesign_bo.models.viability import fit_viability
+from codesign_bo.seeds import derive_seed
 from numpy.typing import NDArray
 
 from benchmarks.bo_problems import PROBLEMS, Problem

@@ -13,10 +13,10 @@ from botorch.models.gpytorch import GPyTorchModel
 from botorch.models.model import Model
 from botorch.sampling.normal import SobolQMCNormalSampler
 from botorch.utils.multi_objective.box_decompositions.non_dominated import NondominatedPartitioning
-from codesign_bo.acquire import Objective, log_ei, noisy_log_ehvi, noisy_log_ei
-from codesign_bo.gp import Hyperparameters
-from codesign_bo.pareto import hypervolume
-from codesign_bo.surrogate import fit_surrogate
+from codesign_bo.acquisition.functions import Objective, log_ei, noisy_log_ehvi, noisy_log_ei
+from codesign_bo.acquisition.pareto import hypervolume
+from codesign_bo.models.gp import Hyperparameters
+from codesign_bo.models.surrogate import fit_surrogate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats

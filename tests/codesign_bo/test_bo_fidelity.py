@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 from codesign_bo import BoxSpace, EvalResult, Score, ScoreRecord, Study
-from codesign_bo.fidelity import MIN_FULL, fit_with_scores, levels
-from codesign_bo.surrogate import fit_surrogate
+from codesign_bo.models.fidelity import MIN_FULL, fit_with_scores, levels
+from codesign_bo.models.surrogate import fit_surrogate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

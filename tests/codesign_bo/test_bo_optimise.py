@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 from codesign_bo import BoxSpace, Categorical, Continuous, Integer, LinearConstraint, StudyError
-from codesign_bo.features import Features
-from codesign_bo.optimise import maximise
+from codesign_bo.acquisition.optimise import maximise
+from codesign_bo.models.features import Features
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

@@ -6,7 +6,7 @@ import torch
 from botorch.utils.multi_objective.hypervolume import Hypervolume
 from botorch.utils.multi_objective.pareto import is_non_dominated
 from codesign_bo import BoxSpace, EvalResult, Study
-from codesign_bo.pareto import hypervolume, non_dominated, pareto_front, reference_point
+from codesign_bo.acquisition.pareto import hypervolume, non_dominated, pareto_front, reference_point
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays

@@ -7,6 +7,7 @@ import matplotlib.colors
 import numpy as np
 import pytest
 from codesign_bo import BoxSpace, Categorical, Continuous, EvalResult, Integer, LinearConstraint, Study
+from codesign_bo.models.surrogate import LeaveOneOut
 from codesign_bo.plots import (
     Labels,
     NothingToShowError,
@@ -30,7 +31,6 @@ from codesign_bo.plots.style import OUTCOMES, Z95, levels, value_text
 from codesign_bo.plots.timeline import Timeline
 from codesign_bo.records import AttemptRecord
 from codesign_bo.sensitivity import Effect
-from codesign_bo.surrogate import LeaveOneOut
 from matplotlib.collections import QuadMesh
 
 SQUARE = BoxSpace.box(["a", "b"], 0.0, 1.0, 0.5)

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from codesign_bo import BoxSpace, Integer, proposal
-from codesign_bo.acquire import Objective
-from codesign_bo.proposal import MIN_SEPARATION, Belief, fingerprint, propose, suggest
-from codesign_bo.surrogate import fit_surrogate
+from codesign_bo import BoxSpace, Integer
+from codesign_bo.acquisition import proposal
+from codesign_bo.acquisition.functions import Objective
+from codesign_bo.acquisition.proposal import MIN_SEPARATION, Belief, fingerprint, propose, suggest
+from codesign_bo.models.surrogate import fit_surrogate
+from codesign_bo.seeds import derive_seed
 
 SPACE = BoxSpace.box(["a", "b"], 0, 1, 0.5)
 NONE = np.empty((0, 2))
@@ -26,7 +28,7 @@ def test_the_models_take_over_after_the_initial_trials(belief):
     assert propose(SPACE, 3, 4, 0, belief, NONE).origin == "sobol"
     made = propose(SPACE, 4, 4, 0, belief, NONE)
     assert made.origin == "surrogate"
-    seed = proposal.derive_seed(0, 4, 1)
+    seed = derive_seed(0, 4, 1)
     np.testing.assert_array_equal(point(made), suggest(SPACE, belief, NONE, seed))
     assert propose(SPACE, 4, 4, 0, belief, NONE, queued={"a": 0.1, "b": 0.2}).origin == "queued"
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from codesign_bo import BoxSpace, EvalResult, Study
 from codesign_bo.confirm import analyse
+from codesign_bo.models.surrogate import fit_surrogate
 from codesign_bo.recommend import posterior_gain
 from codesign_bo.records import ConfirmationRecord
-from codesign_bo.surrogate import fit_surrogate
 from scipy import stats
 
 SPACE = BoxSpace.box(["a"], 0.0, 1.0, 0.5)

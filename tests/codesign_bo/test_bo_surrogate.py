@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 from codesign_bo import BoxSpace, Categorical, Continuous, Integer
-from codesign_bo import fit as module
-from codesign_bo.fit import LogPosterior
-from codesign_bo.gp import MaternGP
-from codesign_bo.priors import PRIORS, Gamma, LogNormal
-from codesign_bo.surrogate import fit_surrogate, leave_one_out, slices
+from codesign_bo.models import fit as module
+from codesign_bo.models.fit import LogPosterior
+from codesign_bo.models.gp import MaternGP
+from codesign_bo.models.priors import PRIORS, Gamma, LogNormal
+from codesign_bo.models.surrogate import fit_surrogate, leave_one_out, slices
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats

@@ -5,8 +5,8 @@ import pytest
 import torch
 from codesign_bo import BoxSpace, Categorical, Continuous, EvalResult, Study
 from codesign_bo.data import Viability
-from codesign_bo.features import Features
-from codesign_bo.viability import THRESHOLD, covariance, fit_viability
+from codesign_bo.models.features import Features
+from codesign_bo.models.viability import THRESHOLD, covariance, fit_viability
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats

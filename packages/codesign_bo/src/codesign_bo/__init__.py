@@ -7,11 +7,11 @@ from codesign_bo.errors import DivergedError, StudyError
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult, Score
 
 if TYPE_CHECKING:
+    from codesign_bo.acquisition.pareto import ParetoFront
     from codesign_bo.confirm import Confirmation, Gain
     from codesign_bo.data import Observations, Viability
-    from codesign_bo.fidelity import Verdict
     from codesign_bo.history import Imported
-    from codesign_bo.pareto import ParetoFront
+    from codesign_bo.models.fidelity import Verdict
     from codesign_bo.recommend import Recommendation
     from codesign_bo.records import (
         AttemptRecord,
@@ -81,11 +81,11 @@ __all__ = [
 
 # Imported on first use: the process of an evaluation needs none of these, and torch takes seconds and 300 MB.
 _LAZY = {
+    "acquisition.pareto": ("ParetoFront",),
     "confirm": ("Confirmation", "Gain"),
     "data": ("Observations", "Viability"),
-    "fidelity": ("Verdict",),
     "history": ("Imported",),
-    "pareto": ("ParetoFront",),
+    "models.fidelity": ("Verdict",),
     "recommend": ("Recommendation",),
     "records": (
         "AttemptRecord",

@@ -5,13 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from scipy import stats
 
+from codesign_bo.confirm import NOMINAL_TRIAL, Gain
+from codesign_bo.models.surrogate import Surrogate
 from codesign_bo.space import Array, Value
-from codesign_bo.surrogate import Surrogate
+
+if TYPE_CHECKING:
+    from codesign_bo.view import Estimate
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,39 @@ class Recommendation:
             f"recommended: trial {self.trial} ({design}); by {self.source}, gain over nominal {self.gain:.4g} "
             f"[{self.low:.4g}, {self.high:.4g}] at {self.level:.0%}, better with probability {self.probability:.1%}"
         )
+
+
+def by_confirmation(confirmed: Gain, nominal: Mapping[str, Value], level: float) -> Recommendation:
+    """Return what the confirmation runs recommend.
+
+    Args:
+        confirmed: The confirmed design with the greatest gain.
+        nominal: The nominal design.
+        level: Level of the interval.
+    """
+    if confirmed.gain <= 0.0:
+        return Recommendation(NOMINAL_TRIAL, nominal, 0.0, 0.0, 0.0, 0.0, level, "confirmation")
+    measured = (confirmed.gain, confirmed.low, confirmed.high, confirmed.probability)
+    return Recommendation(confirmed.trial, dict(confirmed.params), *measured, level, "confirmation")
+
+
+def by_posterior(
+    best: Estimate, nominal: Mapping[str, Value], surrogate: Surrogate, points: Array, maximize: bool, level: float
+) -> Recommendation:
+    """Return what the surrogate recommends.
+
+    Args:
+        best: The evaluated design with the best posterior mean.
+        nominal: The nominal design.
+        surrogate: The surrogate.
+        points: Points (2, dim) of these two in the unit cube.
+        maximize: Whether higher values are better.
+        level: Level of the interval.
+    """
+    if dict(best.params) == nominal:
+        return Recommendation(NOMINAL_TRIAL, nominal, 0.0, 0.0, 0.0, 0.0, level, "posterior")
+    believed = posterior_gain(surrogate, points[0], points[1], maximize, level)
+    return Recommendation(best.trial, best.params, *believed, level, "posterior")
 
 
 def posterior_gain(

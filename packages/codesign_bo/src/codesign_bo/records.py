@@ -35,7 +35,7 @@ class Basis:
     """What a proposal of the surrogate was based on.
 
     Attributes:
-        fit: How the surrogate's hyperparameters came about (see `codesign_bo.surrogate.Surrogate.fit`).
+        fit: How the surrogate's hyperparameters came about (see `codesign_bo.models.surrogate.Surrogate.fit`).
         model: Fingerprint of its data and hyperparameters.
         seconds: Time that the fit took.
         pending: Trials that were unfinished then; all other earlier ones were known to the surrogate.

@@ -11,11 +11,11 @@ from scipy import stats
 from torch.distributions import MultivariateNormal
 
 from codesign_bo.errors import StudyError
-from codesign_bo.fidelity import fit_with_scores
-from codesign_bo.proposal import derive_seed
+from codesign_bo.models.fidelity import fit_with_scores
+from codesign_bo.models.surrogate import Surrogate
 from codesign_bo.records import ScoreRecord
+from codesign_bo.seeds import derive_seed
 from codesign_bo.space import Array
-from codesign_bo.surrogate import Surrogate
 from codesign_bo.view import StudyView
 
 LEVEL = 0.95

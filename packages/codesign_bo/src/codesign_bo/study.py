@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from codesign_bo.confirm import NOMINAL_TRIAL, Confirmation
-from codesign_bo.data import tells_viability
 from codesign_bo.errors import StudyError
 from codesign_bo.executors.interfaces import Executor
 from codesign_bo.header import Direction, Header
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult
-from codesign_bo.records import Basis, ConfirmationRecord, Proposal, Told, TrialRecord
+from codesign_bo.records import ConfirmationRecord, Told, TrialRecord
 from codesign_bo.retries import RETRIES
 from codesign_bo.running.dispatch import Dispatcher, Evaluation
 from codesign_bo.running.progress import Tally
 from codesign_bo.running.session import coordinate, listener
 from codesign_bo.running.work import ConfirmationRuns, Search
+from codesign_bo.seeds import derive_seed
 from codesign_bo.space import BoxSpace, Feasible
 from codesign_bo.stopping import MedianStopping
 from codesign_bo.storage import SEARCH, Storage
@@ -27,8 +26,6 @@ from codesign_bo.suggestions import Suggestions, check_feasible
 from codesign_bo.view import open_study
 
 logger = logging.getLogger(__name__)
-
-_MIN_SCORES = 2
 
 
 class Study(Suggestions):
@@ -163,40 +160,11 @@ class Study(Suggestions):
             evaluation = (t.trial, SEARCH)
             if t.result is None and evaluation not in self._dispatcher.held:
                 return self._dispatcher.again(evaluation, t.params, t.seed, t.fidelity, deadline, thresholds)
-        from codesign_bo.proposal import derive_seed  # see `codesign_bo.view`
+        from codesign_bo.next_trial import next_proposal  # see `codesign_bo.view`
 
         trial = len(trials)
-        proposal = self._propose(trials)
+        proposal = next_proposal(self, trials, self._feasible)
         return self._dispatcher.propose(trial, proposal, derive_seed(self.seed, trial), deadline, thresholds)
-
-    def _propose(self, trials: Sequence[TrialRecord]) -> Proposal:
-        from codesign_bo.proposal import fingerprint, propose
-
-        trial = len(trials)
-        imported = sum(h.result.ok for h in self.history())
-        n_init = max(1, self.n_init - imported)
-        ready = trial >= n_init and sum(t.ok for t in trials) + imported >= _MIN_SCORES
-        queued = next((dict(q.params) for q in self.queue() if q.trial is None), None)
-        belief = self.belief() if ready and queued is None else None
-        hopeless = {t.trial for t in trials if t.result is not None and t.failed and tells_viability(t.result)}
-        failed = [t for t in trials if t.trial in hopeless]
-        pending = [t for t in trials if not t.ok and t.trial not in hopeless]
-        proposal = propose(
-            self.space,
-            trial,
-            n_init,
-            self.seed,
-            belief,
-            self.space.to_unit(self.space.designs(t.params for t in pending)),
-            self.space.to_unit(self.space.designs(t.params for t in failed)),
-            queued,
-            self._feasible,
-        )
-        if proposal.origin != "surrogate" or belief is None:
-            return proposal
-        unfinished = tuple(t.trial for t in trials if t.result is None)
-        fit = belief.objectives[0].surrogate.fit
-        return replace(proposal, basis=Basis(fit, fingerprint(belief), self.fit_seconds(), unfinished))
 
     def tell(self, trial: int, result: EvalResult, token: str | None = None) -> Told:
         """Commit the result of a trial. Telling the same again does nothing.
@@ -315,8 +283,6 @@ class Study(Suggestions):
             StudyError: No trial has a score yet.
             ValueError: `top_k` or `repeats` is not positive.
         """
-        from codesign_bo.proposal import derive_seed
-
         if top_k < 1 or repeats < 1:
             raise ValueError(f"top_k is {top_k} and repeats is {repeats}; both must be >= 1")
         params = {t.trial: t.params for t in self.trials()}

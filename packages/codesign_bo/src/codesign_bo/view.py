@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from codesign_bo.confirm import NOMINAL_TRIAL, Confirmation, analyse
+from codesign_bo.confirm import Confirmation, analyse
 from codesign_bo.data import Observations, Viability, figure, tells_viability
 from codesign_bo.errors import StudyError
 from codesign_bo.interfaces import EvalResult
@@ -31,12 +30,13 @@ from codesign_bo.storage import Storage
 # Models are imported where they are used: torch takes seconds and 300 MB, and a script that opens a study is imported
 # again by the process of each of its evaluations.
 if TYPE_CHECKING:
-    from codesign_bo.fidelity import Verdict
-    from codesign_bo.pareto import ParetoFront
-    from codesign_bo.proposal import Belief
+    from codesign_bo.acquisition.pareto import ParetoFront
+    from codesign_bo.acquisition.proposal import Belief
+    from codesign_bo.fits import Fit, Fits
+    from codesign_bo.models.fidelity import Verdict
+    from codesign_bo.models.surrogate import LeaveOneOut, Surrogate
+    from codesign_bo.models.viability import ViabilityModel
     from codesign_bo.recommend import Recommendation
-    from codesign_bo.surrogate import LeaveOneOut, Surrogate
-    from codesign_bo.viability import ViabilityModel
 
 
 @dataclass(frozen=True)
@@ -74,15 +74,6 @@ class Slice:
     std: Array
 
 
-@dataclass(frozen=True)
-class _Fit:
-    data: Observations
-    scores: list[ScoreRecord]
-    surrogate: Surrogate
-    verdicts: list[Verdict]
-    seconds: float
-
-
 class StudyView:
     """Reads a study; `open_study` makes one for a file that another process may be writing.
 
@@ -95,7 +86,7 @@ class StudyView:
         if header is None:
             raise StudyError(f"{storage.path} holds no study yet: it was interrupted while being created")
         self._storage = storage
-        self._fits: dict[str | None, _Fit] = {}
+        self._fits: Fits | None = None
         self.path = storage.path
         self.space = BoxSpace.from_signature(header.space)
         self.seed = header.seed
@@ -232,7 +223,7 @@ class StudyView:
         return self._fit(objective).surrogate
 
     def fidelity_verdicts(self) -> list[Verdict]:
-        """Return whether scores at lower fidelities help to predict the objective (see `codesign_bo.fidelity`).
+        """Return whether scores at lower fidelities help to predict the objective (see `codesign_bo.models.fidelity`).
 
         Raises:
             StudyError: There is no score yet.
@@ -241,7 +232,7 @@ class StudyView:
 
     def viability_model(self) -> ViabilityModel | None:
         """Return a model of the probability that a design can be evaluated; None as long as none has failed."""
-        from codesign_bo.viability import fit_viability
+        from codesign_bo.models.viability import fit_viability
 
         return fit_viability(self.space, self.viability())
 
@@ -251,8 +242,8 @@ class StudyView:
         Raises:
             StudyError: There is no score yet.
         """
-        from codesign_bo.acquire import Objective
-        from codesign_bo.proposal import Belief
+        from codesign_bo.acquisition.functions import Objective
+        from codesign_bo.acquisition.proposal import Belief
 
         main = Objective(self.surrogate(), self.maximize)
         further = [Objective(self.surrogate(name), way == "maximize") for name, way in self.objectives.items()]
@@ -260,7 +251,7 @@ class StudyView:
 
     def fit_seconds(self) -> float:
         """Return how long it took to fit the present surrogates."""
-        return sum(fit.seconds for fit in self._fits.values())
+        return 0.0 if self._fits is None else self._fits.seconds
 
     def pareto(self) -> ParetoFront:
         """Return the study's own designs that no other beats in all objectives, by posterior means.
@@ -268,7 +259,7 @@ class StudyView:
         Raises:
             StudyError: No trial has a score yet.
         """
-        from codesign_bo.pareto import pareto_front
+        from codesign_bo.acquisition.pareto import pareto_front
 
         scored = [t for t in self.trials() if t.ok]
         names = [None, *self.objectives]
@@ -277,21 +268,15 @@ class StudyView:
         ways = [self.maximize, *(way == "maximize" for way in self.objectives.values())]
         return pareto_front(["mean", *self.objectives], [t.trial for t in scored], mean, std, ways)
 
-    def _fit(self, objective: str | None) -> _Fit:
+    def _fit(self, objective: str | None) -> Fit:
         data = self.observations(objective)
         if not len(data.y):
             raise StudyError(f"no trial of {self.path} has a score yet")
-        scores = self.scores() if objective is None else []
-        found = self._fits.get(objective)
-        if found is None or not _same(found.data, data) or found.scores != scores:
-            from codesign_bo.fidelity import fit_with_scores
-            from codesign_bo.proposal import derive_seed
+        if self._fits is None:
+            from codesign_bo.fits import Fits
 
-            started = time.monotonic()
-            seed = derive_seed(self.seed, 0, 3)
-            surrogate, verdicts = fit_with_scores(data.x, data.y, data.sem, seed, self.space, scores)
-            found = self._fits[objective] = _Fit(data, scores, surrogate, verdicts, time.monotonic() - started)
-        return found
+            self._fits = Fits(self.space, self.seed)
+        return self._fits.of(objective, data, self.scores() if objective is None else [])
 
     def ranking(self) -> list[Estimate]:
         """Return the study's own designs that have a score in full, the best posterior mean first.
@@ -330,21 +315,14 @@ class StudyView:
         Raises:
             StudyError: No trial has a score yet.
         """
-        from codesign_bo.recommend import Recommendation, posterior_gain
+        from codesign_bo.recommend import by_confirmation, by_posterior
 
-        nominal = self.space.nominal
-        best = self.confirmation(level).best
-        if best is not None and best.repeats > 1:
-            measured = (best.gain, best.low, best.high, best.probability)
-            if best.gain > 0.0:
-                return Recommendation(best.trial, dict(best.params), *measured, level, "confirmation")
-            return Recommendation(NOMINAL_TRIAL, nominal, 0.0, 0.0, 0.0, 0.0, level, "confirmation")
+        confirmed = self.confirmation(level).best
+        if confirmed is not None and confirmed.repeats > 1:
+            return by_confirmation(confirmed, self.space.nominal, level)
         estimate = self.best()
-        if dict(estimate.params) == nominal:
-            return Recommendation(NOMINAL_TRIAL, nominal, 0.0, 0.0, 0.0, 0.0, level, "posterior")
-        point, base = self._unit([estimate.params, nominal])
-        believed = posterior_gain(self.surrogate(), point, base, self.maximize, level)
-        return Recommendation(estimate.trial, estimate.params, *believed, level, "posterior")
+        points = self._unit([estimate.params, self.space.nominal])
+        return by_posterior(estimate, self.space.nominal, self.surrogate(), points, self.maximize, level)
 
     def slices(self, n: int = 41) -> dict[str, Slice]:
         """Return the posterior on lines through the best design, by free parameter.
@@ -352,7 +330,7 @@ class StudyView:
         Args:
             n: Number of points on each line, spread evenly over the edge of the unit cube.
         """
-        from codesign_bo.surrogate import slices
+        from codesign_bo.models.surrogate import slices
 
         best = self._unit([self.best().params])[0]
         positions, mean, std = slices(self.surrogate(), best, n)
@@ -360,13 +338,9 @@ class StudyView:
 
     def leave_one_out(self) -> LeaveOneOut:
         """Return how well the surrogate predicts each trial from the others."""
-        from codesign_bo.surrogate import leave_one_out
+        from codesign_bo.models.surrogate import leave_one_out
 
         return leave_one_out(self.surrogate())
-
-
-def _same(a: Observations, b: Observations) -> bool:
-    return all(np.array_equal(getattr(a, k), getattr(b, k), equal_nan=True) for k in ("x", "y", "sem"))
 
 
 def open_study(path: Path | str) -> StudyView:

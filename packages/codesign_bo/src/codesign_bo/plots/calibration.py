@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from codesign_bo.models.surrogate import LeaveOneOut
 from codesign_bo.plots.picture import NothingToShowError
 from codesign_bo.plots.style import BLUE, GREEN, INK, MUTED, PLAIN, VERMILLION, Z95, Labels, figure, label
-from codesign_bo.surrogate import LeaveOneOut
 from codesign_bo.view import StudyView
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from codesign_bo.acquisition.pareto import non_dominated
 from codesign_bo.confirm import NOMINAL_TRIAL
-from codesign_bo.pareto import non_dominated
 from codesign_bo.plots.picture import NothingToShowError
 from codesign_bo.plots.style import BLUE, INK, MUTED, ORANGE, PLAIN, Z95, Labels, figure, headline, label, legend
 from codesign_bo.space import Array

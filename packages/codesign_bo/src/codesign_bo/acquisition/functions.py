@@ -18,8 +18,8 @@ import torch
 from botorch.utils.multi_objective.box_decompositions.non_dominated import FastNondominatedPartitioning
 from botorch.utils.sampling import draw_sobol_normal_samples
 
+from codesign_bo.models.surrogate import Surrogate
 from codesign_bo.space import Array
-from codesign_bo.surrogate import Surrogate
 
 Acquisition = Callable[[torch.Tensor], torch.Tensor]
 """Maps points (b, dim) of the unit cube to their worth (b,), in log units; differentiable."""

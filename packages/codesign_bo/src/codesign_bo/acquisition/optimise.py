@@ -17,7 +17,7 @@ import numpy.typing as npt
 import torch
 from botorch.generation.gen import gen_candidates_scipy
 
-from codesign_bo.acquire import Acquisition
+from codesign_bo.acquisition.functions import Acquisition
 from codesign_bo.space import Array, BoxSpace, Categorical, Continuous, Feasible, is_feasible, sobol_points
 
 Valid = Callable[[Array], npt.NDArray[np.bool_]]

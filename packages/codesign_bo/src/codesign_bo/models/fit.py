@@ -14,8 +14,8 @@ import torch
 from scipy.linalg import get_lapack_funcs
 from scipy.optimize import minimize
 
-from codesign_bo.gp import Hyperparameters, MaternGP, TrendMean
-from codesign_bo.priors import PRIORS, Priors
+from codesign_bo.models.gp import Hyperparameters, MaternGP, TrendMean
+from codesign_bo.models.priors import PRIORS, Priors
 from codesign_bo.space import Array
 
 logger = logging.getLogger(__name__)

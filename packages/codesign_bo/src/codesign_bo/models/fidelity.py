@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from codesign_bo.gp import Trend
+from codesign_bo.models.gp import Trend
+from codesign_bo.models.surrogate import Surrogate, fit_surrogate, leave_one_out
 from codesign_bo.records import ScoreRecord
 from codesign_bo.space import Array, BoxSpace
-from codesign_bo.surrogate import Surrogate, fit_surrogate, leave_one_out
 
 MIN_FULL = 6
 """Evaluations in full below which leave-one-out has no say, and scores are not used."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from codesign_bo.features import Features
-from codesign_bo.fit import fit
-from codesign_bo.gp import Hyperparameters, MaternGP, Trend
-from codesign_bo.priors import PRIORS, Priors
+from codesign_bo.models.features import Features
+from codesign_bo.models.fit import fit
+from codesign_bo.models.gp import Hyperparameters, MaternGP, Trend
+from codesign_bo.models.priors import PRIORS, Priors
 from codesign_bo.space import Array, BoxSpace
 
 
@@ -28,7 +28,7 @@ class Surrogate:
         shift: Mean of `y`.
         scale: Standard deviation of `y`, by which the model's outcomes were divided.
         fit: How the hyperparameters came about: `"map"`, or `"prior"` when no fit succeeded; with `"+scores"`
-            if scores at lower fidelities stand in for the prior mean (see `codesign_bo.fidelity`).
+            if scores at lower fidelities stand in for the prior mean (see `codesign_bo.models.fidelity`).
     """
 
     x: Array
@@ -96,7 +96,7 @@ def fit_surrogate(
     """Fit by maximum a posteriori, from several starts, and never fail.
 
     Replicates of a design are all kept: that is merging them by inverse variance, and their spread tells of
-    the extra noise. See `codesign_bo.fit.fit` for the ladder.
+    the extra noise. See `codesign_bo.models.fit.fit` for the ladder.
 
     Args:
         x: Points (n, dim) of the unit cube, n >= 1.

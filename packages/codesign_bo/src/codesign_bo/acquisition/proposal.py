@@ -10,26 +10,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from codesign_bo.acquire import Objective, noisy_log_ehvi, noisy_log_ei
-from codesign_bo.optimise import maximise
-from codesign_bo.pareto import reference_point
+from codesign_bo.acquisition.functions import Objective, noisy_log_ehvi, noisy_log_ei
+from codesign_bo.acquisition.optimise import maximise
+from codesign_bo.acquisition.pareto import reference_point
+from codesign_bo.models.viability import THRESHOLD, ViabilityModel
 from codesign_bo.records import Origin, Proposal
+from codesign_bo.seeds import derive_seed
 from codesign_bo.space import Array, BoxSpace, Feasible, Value, is_feasible, sobol_points
-from codesign_bo.viability import THRESHOLD, ViabilityModel
 
 logger = logging.getLogger(__name__)
 
 MIN_SEPARATION = 1e-3
 """Two points closer than this in every dimension of the unit cube are near-duplicates."""
-
-
-def derive_seed(study_seed: int, *key: int) -> int:
-    """Return the seed in [0, 2**31) that belongs to `key` in this study.
-
-    Keys: `(trial,)` evaluates a trial, `(trial, 1)` proposes it, `(repeat, 2)` confirms, `(0, 3)` fits.
-    """
-    state = np.random.SeedSequence(study_seed, spawn_key=key).generate_state(1)
-    return int(state[0] >> 1)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from codesign_bo.data import Viability
-from codesign_bo.features import Features
+from codesign_bo.models.features import Features
 from codesign_bo.space import Array, BoxSpace
 
 THRESHOLD = 0.5
