@@ -185,8 +185,8 @@ def test_a_student_is_read_back_and_belongs_to_its_teacher(tmp_path):
         assert torch.equal(mine, theirs)
     with pytest.raises(CheckpointError, match="another teacher"):
         load_vision_student(tmp_path / "student.pt", BlindToyTeacher())
-    torch.save({"format": 1, "student": {}}, tmp_path / "blind.pt")
-    with pytest.raises(CheckpointError, match="no seeing student"):
+    torch.save({"format": 2, "student": {"kind": "blind"}}, tmp_path / "blind.pt")
+    with pytest.raises(CheckpointError, match="a blind student, not a seeing one"):
         load_vision_student(tmp_path / "blind.pt", VisionToyTeacher())
 
 

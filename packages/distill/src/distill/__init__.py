@@ -13,7 +13,6 @@ from distill.adaptation import (
     load_adaptation,
     save_adaptation,
 )
-from distill.checkpoint import load_student
 from distill.errors import (
     BundleError,
     CheckpointError,
@@ -28,7 +27,7 @@ from distill.imitation import LossWeights
 from distill.interfaces import PrivilegedTeacher, ScanTeacher, StudentEnv, Teacher, VisionEnv
 from distill.policy import StudentPolicy
 from distill.spec import BundleSpec, CameraSpec, JointSpec, ObservationTerm
-from distill.student import Student, StudentConfig, build_student
+from distill.student import Student, StudentConfig, build_student, load_student
 from distill.train import TrainConfig, train
 from distill.verify import Verification, verify_bundle
 from distill.vision import (

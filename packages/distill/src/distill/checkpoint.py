@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import torch
+from torch import nn
 
-from distill.errors import CheckpointError
-from distill.interfaces import Teacher
-from distill.student import Student, StudentConfig, build_student
+from distill.errors import CheckpointError, InterfaceError
 
-FORMAT = 1
+FORMAT = 2
+
+Kind: TypeAlias = Literal["blind", "seeing"]
+"""Of a student."""
+
+Network = TypeVar("Network", bound=nn.Module)
 
 
 def save(path: Path, payload: Mapping[str, object]) -> None:
@@ -69,33 +72,44 @@ def table(value: object) -> dict[str, Any]:
     return value
 
 
-def student_payload(student: Student) -> dict[str, object]:
-    """Weights and architecture of a student."""
-    return {
-        "proprio": student.proprio,
-        "architecture": asdict(student.config),
-        "student": student.state_dict(),
-    }
+def student_payload(kind: Kind, student: nn.Module, made_with: Mapping[str, object]) -> dict[str, object]:
+    """A student as part of a checkpoint: its weights, and all else that `rebuild_student` needs to make it anew."""
+    return {"student": {"kind": kind, **made_with, "weights": student.state_dict()}}
 
 
-def load_student(path: Path, teacher: Teacher, device: torch.device | str = "cpu") -> Student:
-    """Rebuild a trained student from `student.pt` or `checkpoint.pt`.
+def student_kind(path: Path) -> Kind:
+    """Whether the student in `student.pt` or `checkpoint.pt` sees.
+
+    Raises:
+        CheckpointError: the file is unreadable, or holds no student.
+    """
+    student = load(path).get("student")
+    kind = student.get("kind") if isinstance(student, dict) else None
+    if kind not in ("blind", "seeing"):
+        raise CheckpointError(f"{path}: holds no student")
+    return kind
+
+
+def rebuild_student(
+    path: Path, kind: Kind, make: Callable[[Mapping[str, Any]], Network], device: torch.device | str
+) -> Network:
+    """Read the student in `student.pt` or `checkpoint.pt`.
 
     Args:
         path: the file.
-        teacher: the teacher that it was trained with; it gives the shape of the backbone.
-        device: where the student shall live.
+        kind: of the student.
+        make: the untrained network, from what `student_payload` was told that it is made with.
+        device: where it shall live.
 
     Raises:
-        CheckpointError: the file is unreadable, or the student belongs to another teacher.
+        CheckpointError: the file is unreadable, or holds a student of another kind or another teacher.
     """
-    payload = load(path)
-    proprio, architecture, weights = (payload.get(key) for key in ("proprio", "architecture", "student"))
-    if not isinstance(proprio, int) or not isinstance(architecture, dict) or not isinstance(weights, dict):
-        raise CheckpointError(f"{path}: holds no student")
+    if (found := student_kind(path)) != kind:
+        raise CheckpointError(f"{path}: holds a {found} student, not a {kind} one")
+    content = table(load(path)["student"])
     try:
-        student = build_student(proprio, teacher, StudentConfig(**architecture), device)
-        student.load_state_dict(weights)
-    except (RuntimeError, TypeError) as error:
+        student = make(content)
+        student.load_state_dict(table(content["weights"]))
+    except (InterfaceError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise CheckpointError(f"{path}: this student was trained with another teacher: {error}") from error
-    return student.eval()
+    return student.to(device).eval()

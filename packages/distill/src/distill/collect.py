@@ -12,6 +12,7 @@ from distill.history import HistoryBuffer
 from distill.interfaces import Observation, PrivilegedTeacher, StudentEnv, Teacher
 from distill.rollouts import RolloutRing
 from distill.student import Student
+from distill.teachers import knowledge
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Collector:
         env: the environment.
         teacher: labels every visited state.
         student: acts.
-        ring: receives proprio, explicit, action and, with a privileged teacher, latent.
+        ring: receives proprio, explicit, action and, with a privileged teacher, its latents.
     """
 
     def __init__(self, env: StudentEnv, teacher: Teacher, student: Student, ring: RolloutRing) -> None:
@@ -79,7 +80,7 @@ class Collector:
             "action": self._teacher.act(self._obs),
         }
         if self._encoder is not None:
-            fields["latent"] = self._encoder.latent(self._obs)
+            fields["latent"] = knowledge(self._encoder, self._obs)
         for name, value in fields.items():
             if not torch.isfinite(value).all():
                 source = "the environment's group" if name in self._obs else "the teacher's"

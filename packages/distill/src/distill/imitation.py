@@ -19,7 +19,7 @@ class LossWeights:
     velocity: float = 1.0
     """Of the squared error of the base velocity (m/s)^2."""
     latent: float = 0.5
-    """Of the squared error of the privileged latent; unused with a teacher that has none."""
+    """Of the squared error of the privileged latents; unused with a teacher that has none."""
 
 
 class ImitationLoss(NamedTuple):
@@ -36,7 +36,7 @@ def imitation_loss(student: Student, samples: Mapping[str, Tensor], weights: Los
 
     Args:
         student: the student.
-        samples: "history" (B, H, P), "action" (B, 12), "explicit" (B, 3), and "latent" (B, L) or none.
+        samples: "history" (B, H, P), "action" (B, 12), "explicit" (B, 3), and "latent" (B, S + L) or none.
         weights: of the terms.
     """
     action, velocity, latent = student.infer(samples["history"])

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from distill.errors import InterfaceError
+from distill import checkpoint
 from distill.history import push
 from distill.interfaces import ACTIONS, VELOCITY, PrivilegedTeacher, Teacher
 from distill.networks import HistoryEncoder, mlp
+from distill.teachers import check_actor, copy_actor, scan_width
 
 
 @dataclass(frozen=True)
@@ -33,14 +34,16 @@ class StudentConfig:
     """Channels of the convolutions over time."""
     encoder_features: int = 128
     """Width of the layer between the convolutions and the two heads."""
+    scan_dim: int = 0
+    """Width of the latent of the terrain; a teacher that sees it overrules it."""
     latent_dim: int = 16
-    """Width of the latent; a teacher with an encoder of its own overrules it."""
+    """Width of the latent of the body; a teacher with an encoder of its own overrules it."""
     actor_hidden: tuple[int, ...] = (256, 128, 64)
     """Hidden layers of the backbone; a teacher that opens its actor overrules them."""
 
 
 class Inference(NamedTuple):
-    """What the student makes of a history: action (B, 12), velocity (B, 3) in m/s, latent (B, L)."""
+    """What the student makes of a history: action (B, 12), velocity (B, 3) in m/s, latents (B, S + L)."""
 
     action: Tensor
     velocity: Tensor
@@ -51,13 +54,14 @@ class Student(nn.Module):
     """A policy on onboard sensing.
 
     A history encoder stands in for the privileged state: one head estimates the base velocity, the
-    other the teacher's privileged latent. The backbone reads [proprio, velocity, latent], as the
-    teacher's actor does. The velocity is detached there, so that it stays an estimate in m/s.
+    other the teacher's privileged latents, of the body and, if the teacher sees it, of the terrain, as far
+    as legs can feel it. The backbone reads [proprio, terrain latent, velocity, latent], as the teacher's
+    actor does. The velocity is detached there, so that it stays an estimate in m/s.
 
     Args:
         proprio: P, width of one frame.
         config: architecture.
-        actor: backbone (B, P + 3 + L) -> (B, 12); None builds an ELU network of `config.actor_hidden`.
+        actor: backbone (B, P + S + 3 + L) -> (B, 12); None builds an ELU network of `config.actor_hidden`.
     """
 
     def __init__(self, proprio: int, config: StudentConfig, actor: nn.Module | None = None) -> None:
@@ -69,14 +73,17 @@ class Student(nn.Module):
             proprio, config.history, config.frame_features, config.channels, config.encoder_features
         )
         self.velocity = nn.Linear(config.encoder_features, VELOCITY)
-        self.latent = nn.Linear(config.encoder_features, config.latent_dim)
-        self.actor = actor or mlp(proprio + VELOCITY + config.latent_dim, config.actor_hidden, ACTIONS)
+        self.latent = nn.Linear(config.encoder_features, config.scan_dim + config.latent_dim)
+        width = proprio + config.scan_dim + VELOCITY + config.latent_dim
+        self.actor = actor or mlp(width, config.actor_hidden, ACTIONS)
 
     def infer(self, history: Tensor) -> Inference:
         """Act on a history (B, H, P) whose last frame is the present one."""
         features = self.encoder(history)
         velocity, latent = self.velocity(features), self.latent(features)
-        action = self.actor(torch.cat((history[:, -1], velocity.detach(), latent), dim=1))
+        terrain, body = latent.tensor_split((self.config.scan_dim,), dim=1)
+        parts = (history[:, -1], *((terrain,) if self.config.scan_dim else ()), velocity.detach(), body)
+        action = self.actor(torch.cat(parts, dim=1))
         return Inference(action, velocity, latent)
 
     def forward(self, obs: Tensor, history_in: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -105,38 +112,37 @@ def build_student(proprio: int, teacher: Teacher, config: StudentConfig, device:
         device: where the student lives.
 
     Raises:
-        InterfaceError: the teacher's actor does not map [proprio, velocity, latent] to 12 actions.
+        InterfaceError: the teacher's actor does not map what it should read to 12 actions.
     """
     if not isinstance(teacher, PrivilegedTeacher):
         return Student(proprio, config).to(device)
-    config = replace(config, latent_dim=teacher.latent_dim)
+    scan = scan_width(teacher)
+    config = replace(config, scan_dim=scan, latent_dim=teacher.latent_dim)
     student = Student(proprio, config, copy_actor(teacher)).to(device)
-    check_actor(student.actor, {"proprio": proprio, "velocity": VELOCITY, "latent": config.latent_dim}, device)
+    inputs = {"proprio": proprio, "scan latent": scan, "velocity": VELOCITY, "latent": config.latent_dim}
+    check_actor(student.actor, {name: width for name, width in inputs.items() if width}, device)
     return student
 
 
-def copy_actor(teacher: PrivilegedTeacher) -> nn.Module:
-    """A copy of the teacher's actor to go on training, which leaves the teacher alone."""
-    return copy.deepcopy(teacher.actor).requires_grad_(True)
+def blind_payload(student: Student) -> dict[str, object]:
+    """Weights, architecture and shape of a blind student."""
+    made_with = {"proprio": student.proprio, "architecture": asdict(student.config)}
+    return checkpoint.student_payload("blind", student, made_with)
 
 
-def check_actor(actor: nn.Module, inputs: Mapping[str, int], device: torch.device | str) -> None:
-    """Check what the actor of a teacher reads and gives.
+def load_student(path: Path, teacher: Teacher, device: torch.device | str = "cpu") -> Student:
+    """Rebuild a trained student from `student.pt` or `checkpoint.pt`.
 
     Args:
-        actor: the network.
-        inputs: name and width of each part of its input, in order.
-        device: where it lives.
+        path: the file.
+        teacher: the teacher that it was trained with; it gives the shape of the backbone.
+        device: where the student shall live.
 
     Raises:
-        InterfaceError: it does not map them, side by side, to 12 actions.
+        CheckpointError: the file is unreadable, or the student sees or belongs to another teacher.
     """
-    width = sum(inputs.values())
-    try:
-        with torch.no_grad():
-            shape = tuple(actor(torch.zeros(1, width, device=device)).shape)
-    except RuntimeError as error:
-        parts = ", ".join(f"{name} {size}" for name, size in inputs.items())
-        raise InterfaceError(f"the teacher's actor does not accept [{parts}] = {width} inputs: {error}") from error
-    if shape != (1, ACTIONS):
-        raise InterfaceError(f"the teacher's actor gives shape {shape}, expected (1, {ACTIONS})")
+
+    def make(table: Mapping[str, Any]) -> Student:
+        return build_student(table["proprio"], teacher, StudentConfig(**table["architecture"]))
+
+    return checkpoint.rebuild_student(path, "blind", make, device)

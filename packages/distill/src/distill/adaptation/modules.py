@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TypeGuard
 
 import torch
 from torch import Tensor, nn
@@ -13,8 +12,9 @@ from torch import Tensor, nn
 from distill import checkpoint
 from distill.errors import CheckpointError, InterfaceError
 from distill.history import begin, push
-from distill.interfaces import VELOCITY, Observation, PrivilegedTeacher, ScanTeacher, Teacher
+from distill.interfaces import VELOCITY, Observation, PrivilegedTeacher, Teacher
 from distill.networks import HistoryEncoder, mlp
+from distill.teachers import has_scan
 
 
 @dataclass(frozen=True)
@@ -141,11 +141,6 @@ def build_adaptation(
     if not isinstance(teacher, PrivilegedTeacher):
         raise InterfaceError("this teacher opens no privileged latent; train the student without ROA (roa=False)")
     return AdaptationModule(proprio, teacher.latent_dim, config or AdaptationConfig(), blank).to(device)
-
-
-def has_scan(teacher: Teacher) -> TypeGuard[ScanTeacher]:
-    """Whether the teacher's actor reads a latent of the terrain."""
-    return isinstance(teacher, ScanTeacher) and teacher.scan_latent_dim > 0
 
 
 def adaptation_payload(adaptation: AdaptationModule) -> dict[str, object]:

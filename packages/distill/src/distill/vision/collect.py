@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from distill.adaptation.modules import has_scan
 from distill.errors import InterfaceError, TrainingDiverged
 from distill.history import HistoryBuffer
 from distill.interfaces import ACTIONS, VELOCITY, Observation, Teacher, VisionEnv
+from distill.teachers import has_scan
 from distill.vision.depth_encoder import NOTHING
 from distill.vision.mts import choose, heading_difference, near
 from distill.vision.perception import Percept, Perception

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from distill.adaptation.modules import AdaptationConfig
+from distill.training import ScheduleConfig
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class VisionStudentConfig:
 
 
 @dataclass(frozen=True)
-class VisionTrainConfig:
+class VisionTrainConfig(ScheduleConfig):
     """Hyperparameters of the training of a seeing student (paper, section III-D)."""
 
     iterations: int = 300
@@ -91,12 +92,6 @@ class VisionTrainConfig:
     """Gradient steps per iteration."""
     batch: int = 32
     """Robots whose part of a rollout makes up a gradient step; all of them if there are fewer."""
-    learning_rate: float = 1e-3
-    """Adam's rate at the first iteration."""
-    final_rate: float = 0.1
-    """Share of the rate that is left at the last iteration; linear in between."""
-    max_grad_norm: float = 1.0
-    """Gradients are scaled down to this norm."""
     heading_weight: float = 1.0
     """Weight of the squared error of the headings, rad^2; that of the actions has weight 1."""
     mts: bool = True
@@ -113,17 +108,10 @@ class VisionTrainConfig:
     """Weight of the squared error of the terrain latent, if it is supervised."""
     velocity_weight: float = 1.0
     """Weight of the squared error of the base velocity, (m/s)^2, without ROA."""
-    seed: int = 0
-    """Seed of weights, batches and episodes."""
-
-    def rate(self, iteration: int) -> float:
-        """Learning rate."""
-        done = iteration / max(1, self.iterations - 1)
-        return self.learning_rate * (1.0 - (1.0 - self.final_rate) * done)
 
     def __post_init__(self) -> None:
-        for name in ("iterations", "rollout_steps", "segment", "memory", "updates", "batch"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"VisionTrainConfig.{name} is {getattr(self, name)}; it must be at least 1")
+        """Refuse a training that does nothing."""
+        super().__post_init__()
+        self._at_least_one("memory", "batch")
         if self.threshold <= 0.0:
             raise ValueError(f"VisionTrainConfig.threshold is {self.threshold} rad; it must be above 0")

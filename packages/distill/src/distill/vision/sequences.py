@@ -62,10 +62,12 @@ class SequenceMemory:
 
     Args:
         rollouts: how many.
+        device: where a `state_dict` is taken to.
     """
 
-    def __init__(self, rollouts: int) -> None:
+    def __init__(self, rollouts: int, device: torch.device | str = "cpu") -> None:
         self._rollouts: deque[Sequence] = deque(maxlen=rollouts)
+        self._device = device
 
     def add(self, sequence: Sequence) -> None:
         """Keep a rollout; the oldest one goes."""
@@ -85,9 +87,9 @@ class SequenceMemory:
             for index, sequence in enumerate(self._rollouts)
         }
 
-    def load_state_dict(self, state: Mapping[str, object], device: torch.device | str) -> None:
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Take over a `state_dict`."""
         self._rollouts.clear()
         for table in state.values():
             assert isinstance(table, dict)
-            self._rollouts.append(Sequence(**{name: value.to(device) for name, value in table.items()}))
+            self._rollouts.append(Sequence(**{name: value.to(self._device) for name, value in table.items()}))

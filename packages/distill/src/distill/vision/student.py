@@ -11,11 +11,11 @@ import torch
 from torch import Tensor, nn
 
 from distill import checkpoint
-from distill.adaptation.modules import AdaptationConfig, AdaptationModule, has_scan
-from distill.errors import CheckpointError, InterfaceError
+from distill.adaptation.modules import AdaptationConfig, AdaptationModule
+from distill.errors import InterfaceError
 from distill.interfaces import ACTIONS, VELOCITY, PrivilegedTeacher, Teacher, VisionEnv
 from distill.networks import mlp
-from distill.student import check_actor, copy_actor
+from distill.teachers import check_actor, copy_actor, has_scan
 from distill.vision.config import Convolution, DepthEncoderConfig, VisionStudentConfig
 from distill.vision.depth_encoder import NOTHING, DepthEncoder
 
@@ -176,16 +176,14 @@ def _inputs(proprio: int, config: VisionStudentConfig) -> dict[str, int]:
 
 def vision_payload(student: VisionStudent) -> dict[str, object]:
     """Weights, architecture and shapes of a seeing student."""
-    return {
-        "vision": {
-            "proprio": student.proprio,
-            "heading": [student.heading.start, student.heading.stop],
-            "depth_shape": list(student.depth_shape),
-            "depth_period": student.depth_period,
-            "architecture": asdict(student.config),
-            "weights": student.state_dict(),
-        }
+    made_with = {
+        "proprio": student.proprio,
+        "heading": [student.heading.start, student.heading.stop],
+        "depth_shape": list(student.depth_shape),
+        "depth_period": student.depth_period,
+        "architecture": asdict(student.config),
     }
+    return checkpoint.student_payload("seeing", student, made_with)
 
 
 def load_vision_student(path: Path, teacher: Teacher, device: torch.device | str = "cpu") -> VisionStudent:
@@ -197,26 +195,15 @@ def load_vision_student(path: Path, teacher: Teacher, device: torch.device | str
         device: where the student shall live.
 
     Raises:
-        CheckpointError: the file is unreadable, or the student belongs to another teacher.
+        CheckpointError: the file is unreadable, or the student is blind or belongs to another teacher.
     """
-    table = checkpoint.load(path).get("vision")
-    if not isinstance(table, dict):
-        raise CheckpointError(f"{path}: holds no seeing student")
-    try:
-        rows, columns = table["depth_shape"]
-        student = _assemble(
-            table["proprio"],
-            slice(*table["heading"]),
-            (rows, columns),
-            table["depth_period"],
-            teacher,
-            config_from(table["architecture"]),
-            None,
-        )
-        student.load_state_dict(table["weights"])
-    except (InterfaceError, KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{path}: this student was trained with another teacher: {error}") from error
-    return student.to(device).eval()
+
+    def make(table: Mapping[str, Any]) -> VisionStudent:
+        heading, (rows, columns) = slice(*table["heading"]), table["depth_shape"]
+        config = config_from(table["architecture"])
+        return _assemble(table["proprio"], heading, (rows, columns), table["depth_period"], teacher, config, None)
+
+    return checkpoint.rebuild_student(path, "seeing", make, device)
 
 
 def config_from(table: Mapping[str, Any]) -> VisionStudentConfig:
