@@ -21,6 +21,7 @@ from morphgen.simulation.mjcf import to_mjcf
 
 from legged_codesign.config import DeployConfig, RunConfig
 from legged_codesign.provenance import current_commit, provenance
+from legged_codesign.scene import training_scene
 from legged_codesign.stages import write_text
 
 
@@ -71,8 +72,7 @@ def bundle_spec(
     A seeing student needs the `camera` that it was trained with.
     """
     task: TaskConfig = teacher.card.task
-    scene = flat_scene(task.physics)
-    body = factory.batch(design[None], scene)
+    body = factory.batch(design[None], flat_scene(task.physics))
     layout, command = factory.layout, task.command
     joints = tuple(
         distill.JointSpec(
@@ -103,7 +103,7 @@ def bundle_spec(
         observation=_observation(teacher),
         urdf=factory.urdf(design),
         robot_xml=to_mjcf(factory.spec(design, robot_only)),
-        scene_xml=to_mjcf(factory.spec(design, scene)),
+        scene_xml=to_mjcf(factory.spec(design, training_scene(task))),
         start_height=float(body.stance_qpos[0, 2]),
         physics_dt=task.physics.timestep,
         command_low=(command.vx[0], command.vy[0], command.yaw_rate[0]),

@@ -21,3 +21,16 @@ def shipped_policy(robot: str, task: str = "flat") -> Path:
             "train one with codesign run --from-scratch"
         )
     return path
+
+
+def shipped(policy: str) -> Path:
+    """Path of a policy that is given by the name of a shipped folder, such as `go2-rough`, or by its own path.
+
+    Raises:
+        FileNotFoundError: there is neither.
+    """
+    for path in (_HERE / policy / "policy.pt", Path(policy)):
+        if path.is_file():
+            return path
+    known = ", ".join(sorted(p.parent.name for p in _HERE.glob("*/policy.pt"))) or "none"
+    raise FileNotFoundError(f"no policy '{policy}': give the path of one, or a shipped one (there is: {known})")

@@ -21,12 +21,14 @@ from distill.errors import (
     ProviderError,
     TrainingDiverged,
 )
+from distill.evaluate import Score, evaluate
 from distill.export import export_bundle
 from distill.golden import RawStates
 from distill.imitation import LossWeights
 from distill.interfaces import PrivilegedTeacher, ScanTeacher, StudentEnv, Teacher, VisionEnv
 from distill.policy import StudentPolicy
 from distill.spec import BundleSpec, CameraSpec, JointSpec, ObservationTerm
+from distill.spec_file import read_spec, write_spec
 from distill.student import Student, StudentConfig, build_student, load_student
 from distill.train import TrainConfig, train
 from distill.verify import Verification, verify_bundle
@@ -63,6 +65,7 @@ __all__ = [
     "RegularisedAdaptation",
     "RoaSchedule",
     "ScanTeacher",
+    "Score",
     "Student",
     "StudentConfig",
     "StudentEnv",
@@ -80,14 +83,17 @@ __all__ = [
     "build_adaptation",
     "build_student",
     "build_vision_student",
+    "evaluate",
     "export_bundle",
     "export_vision_bundle",
     "identify",
     "load_adaptation",
     "load_student",
     "load_vision_student",
+    "read_spec",
     "save_adaptation",
     "train",
     "train_vision",
     "verify_bundle",
+    "write_spec",
 ]

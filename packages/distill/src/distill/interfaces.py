@@ -6,10 +6,12 @@ N is the number of parallel robots.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol, TypeAlias, runtime_checkable
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from distill.errors import InterfaceError
@@ -61,7 +63,7 @@ class StudentEnv(Protocol):
             reward: (N,).
             terminated: (N,) bool, the robot failed.
             truncated: (N,) bool, the episode ran out of time.
-            info: anything else; not read.
+            info: anything else; evaluation reads what it finds of `Measured`.
         """
         ...
 
@@ -139,6 +141,46 @@ class VisionEnv(StudentEnv, Protocol):
 
         At every `depth_period`th step they are of that very instant.
         """
+        ...
+
+
+class Measured(Protocol):
+    """What an environment may tell of a step in its `info`, for evaluation; either may be missing, or None."""
+
+    @property
+    def tracking_error(self) -> Tensor | None:
+        """|commanded speed - speed| of each robot, (N,), m/s."""
+        ...
+
+    @property
+    def success(self) -> Tensor | None:
+        """Robots that did all they had to in this step, (N,) bool."""
+        ...
+
+
+@runtime_checkable
+class GroupedEnv(Protocol):
+    """An environment whose robots differ in ways that a table should tell apart."""
+
+    def groups(self) -> Mapping[str, Sequence[str]]:
+        """What robots differ in -> each robot's group, (N,), in the episodes that `reset` has just begun.
+
+        For example "terrain" -> ("hills", "steps", ...), "body" -> ("short legs", ...).
+        """
+        ...
+
+
+@runtime_checkable
+class FilmedEnv(Protocol):
+    """An environment that draws pictures."""
+
+    @property
+    def picture_dt(self) -> float:
+        """Time between two control steps, s."""
+        ...
+
+    def picture(self, robot: int, width: int, height: int) -> NDArray[np.uint8]:
+        """One robot as it is now, (height, width, 3), red, green, blue."""
         ...
 
 

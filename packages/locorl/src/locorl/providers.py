@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import entry_points
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from locorl.bodies.designs import sample_designs
+from locorl.adapters.student import StudentEnv
+from locorl.adapters.vision import VisionEnv, with_camera
+from locorl.bodies.designs import repeat_design, sample_designs
+from locorl.env.depth_camera import DepthConfig
 from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import BodyFactory
 from locorl.learning.policy import Policy, load_policy
-from locorl.tasks import Preset, make_task
+from locorl.tasks import Preset, TaskConfig, make_task
 
 
 def is_file(robot: str) -> bool:
@@ -62,18 +68,90 @@ def load_teacher(path: Path) -> Policy:
 def make_env(
     robot: str = "go2",
     num_envs: int = 256,
-    design: tuple[float, ...] | None = None,
+    design: Sequence[float] | None = None,
     seed: int = 0,
     task: str = "locomotion-flat",
     preset: Preset = "laptop",
-) -> LeggedEnv:
-    """An environment of one of `locorl.tasks.TASKS` (entry point group `legged.envs`).
+    terrain: Sequence[str] = (),
+    policy: str | None = None,
+    history: int = 0,
+    spread: bool = False,
+) -> StudentEnv:
+    """Robots on one of `locorl.tasks.TASKS`, to train and judge a student with.
 
-    Robots have random bodies, or the one of `design`. See `find_factory` for `robot`, `make_task` for the rest.
+    Args:
+        robot: see `find_factory`.
+        num_envs: N.
+        design: the body of all of them; None draws one for each.
+        seed: of bodies and environment.
+        task: see `make_task`.
+        preset: likewise.
+        terrain: kinds of terrain to take instead of the task's, as many columns of the map.
+        policy: path of a policy or checkpoint; task and preset are those that it was trained on.
+        history: past frames of proprioception in the observation group `history`.
+        spread: see `StudentEnv`.
     """
+    config = _task(task, preset, terrain, policy, history)
+    return StudentEnv(_robots(robot, num_envs, design, seed, config), spread)
+
+
+def locomotion(**options: Any) -> StudentEnv:
+    """Robots that are told how fast to go: `locomotion-flat` unless `task` says otherwise; see `make_env`."""
+    return make_env(**options)
+
+
+def parkour(**options: Any) -> StudentEnv:
+    """Robots on obstacle courses: Lite3 on `parkour-mixed` unless `robot` and `task` say otherwise; see `make_env`."""
+    return make_env(**{"robot": "lite3", "task": "parkour-mixed", **options})
+
+
+def parkour_depth(
+    robot: str = "lite3",
+    num_envs: int = 128,
+    design: Sequence[float] | None = None,
+    seed: int = 0,
+    task: str = "parkour-mixed",
+    preset: Preset = "laptop",
+    terrain: Sequence[str] = (),
+    policy: str | None = None,
+    history: int = 0,
+    spread: bool = False,
+    rows: int = 24,
+    columns: int = 36,
+) -> VisionEnv:
+    """Robots with depth cameras on obstacle courses.
+
+    Args:
+        robot: see `make_env`, as everything down to `spread`.
+        num_envs: N.
+        design: of all of them.
+        seed: of bodies and environment.
+        task: one with waypoints.
+        preset: of the task.
+        terrain: kinds of terrain.
+        policy: whose task to take.
+        history: past frames of proprioception.
+        spread: over all tiles.
+        rows: height of an image, px; the reference implementation has 58.
+        columns: its width, px; there 87.
+    """
+    config = _task(task, preset, terrain, policy, history)
+    config = with_camera(config, DepthConfig(rows=rows, columns=columns), history)
+    return VisionEnv(_robots(robot, num_envs, design, seed, config), spread)
+
+
+def _task(task: str, preset: Preset, terrain: Sequence[str], policy: str | None, history: int) -> TaskConfig:
+    config = make_task(task, preset) if policy is None else load_policy(Path(policy)).card.task
+    if terrain:
+        kinds = tuple(terrain)
+        config = replace(config, terrain=replace(config.terrain, kinds=kinds, columns=len(kinds)))
+    return replace(config, observation=replace(config.observation, history=history))
+
+
+def _robots(robot: str, num_envs: int, design: Sequence[float] | None, seed: int, task: TaskConfig) -> LeggedEnv:
     factory = find_factory(robot)
     if design is None:
         designs = sample_designs(factory, num_envs, np.random.default_rng(seed))
     else:
-        designs = np.tile(np.asarray(design, dtype=np.float64), (num_envs, 1))
-    return LeggedEnv(factory, designs, make_task(task, preset), seed=seed)
+        designs = repeat_design(factory, np.asarray(design, dtype=np.float64), num_envs)
+    return LeggedEnv(factory, designs, task, seed=seed)

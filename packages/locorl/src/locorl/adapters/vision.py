@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 
-import torch
 from torch import Tensor
 
+from locorl.adapters.student import StudentEnv
 from locorl.env.depth_camera import DepthConfig
 from locorl.env.legged_env import LeggedEnv
-from locorl.env.step_info import StepInfo
 from locorl.tasks.task import TaskConfig
 
 _HEADINGS = ("heading_error", "next_heading_error")
@@ -29,7 +27,7 @@ def with_camera(task: TaskConfig, camera: DepthConfig | None = None, history: in
     return replace(task, camera=camera, observation=replace(task.observation, history=history))
 
 
-class VisionEnv:
+class VisionEnv(StudentEnv):
     """N robots with depth cameras and a way to go.
 
     Images are handed out the moment they are taken: the latency between an image and its use is part of the student,
@@ -37,9 +35,10 @@ class VisionEnv:
 
     Args:
         env: the robots; the adapter steps and resets it. `with_camera` makes a task for it.
+        spread: see `StudentEnv`.
 
     Attributes:
-        env: the same.
+        env: the same robots.
         heading: columns of the headings to the next waypoints in the group `proprio`.
         depth_shape: rows and columns of an image, px.
         depth_period: control steps between two images.
@@ -48,7 +47,7 @@ class VisionEnv:
         ValueError: the task has no camera, a late one, or no heading among its observations.
     """
 
-    def __init__(self, env: LeggedEnv) -> None:
+    def __init__(self, env: LeggedEnv, spread: bool = False) -> None:
         camera = env.task.camera
         if camera is None or camera.latency != 0.0:
             late = "no camera" if camera is None else f"a camera that is {camera.latency} s late"
@@ -60,38 +59,12 @@ class VisionEnv:
                 f"task '{env.task.name}' observes {terms}: a seeing student needs {_HEADINGS[0]} among them, "
                 f"and {_HEADINGS[1]}, if it is there, right after it"
             )
-        self.env = env
+        super().__init__(env, spread)
         self.heading = slice(ways[0].start, ways[-1].stop)
         self.depth_shape = (camera.rows, camera.columns)
         self.depth_period = max(1, round(camera.period / env.dt))
 
     @property
-    def num_envs(self) -> int:
-        """N."""
-        return self.env.num_envs
-
-    @property
-    def device(self) -> torch.device:
-        """Where the tensors live."""
-        return self.env.device
-
-    @property
-    def group_dims(self) -> Mapping[str, int]:
-        """Columns of each observation group."""
-        return self.env.group_dims
-
-    @property
     def depth(self) -> Tensor:
         """The images taken last, (N, rows, columns), from -0.5 (near) to 0.5 (far, or nothing)."""
         return self.env.depth
-
-    def reset(self, seed: int | None = None) -> dict[str, Tensor]:
-        """Start every robot, the cameras and the curriculum afresh; None draws a seed. Returns the observation."""
-        if seed is None:
-            draw = torch.randint(2**31, (), generator=self.env.generator, device=self.env.device)
-            seed = int(draw)
-        return self.env.reset(seed)
-
-    def step(self, action: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor, StepInfo]:
-        """Advance one control period; see `LeggedEnv.step`."""
-        return self.env.step(action)

@@ -151,7 +151,7 @@ class Evaluation:
         }
 
 
-def _protocol(task: TaskConfig, config: EvalConfig) -> TaskConfig:
+def walking_protocol(task: TaskConfig, config: EvalConfig) -> TaskConfig:
     """The task as it is evaluated: one command for each robot, nothing random but the starts."""
     command = CommandConfig(config.vx, (0.0, 0.0), (0.0, 0.0), hold=2 * config.seconds, standing=0.0)
     calm = replace(no_randomisation(), reset_joint=config.reset_joint, reset_yaw=task.randomisation.reset_yaw)
@@ -198,7 +198,7 @@ def evaluate(
     config = config or EvalConfig()
     designs = np.asarray(designs, dtype=np.float64)
     bodies, robots = len(designs), config.robots_per_body
-    task = _protocol(task, config)
+    task = walking_protocol(task, config)
     env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
     meter, legs = GaitMeter(sole_height(env, robots), env.dt), Legs(env.sim.model, factory.layout.joints)
     steps = round(config.seconds / env.dt)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +18,8 @@ from locorl.config import differences, to_dict
 from locorl.evaluation.choice import Candidate, best, stalled
 from locorl.evaluation.evaluate import EvalConfig, evaluate
 from locorl.interfaces import Array, BodyFactory
+from locorl.learning.hooks import RolloutHook
+from locorl.learning.networks import ActorCritic
 from locorl.learning.policy import Policy, policy_from
 from locorl.learning.ppo import PPOConfig
 from locorl.tasks.task import TaskConfig
@@ -43,6 +45,8 @@ class FinetuneConfig:
     """Weight of positive mechanical power over body weight in the reward; None keeps the generalist's."""
     command_vx: tuple[float, float] | None = None
     """Commanded forward speeds to train on, m/s; None keeps the generalist's commands."""
+    history: int | None = None
+    """Past frames of proprioception that the robots observe, for hooks that read them; None keeps the generalist's."""
     optimizer: Literal["fresh", "keep"] = "fresh"
     """keep goes on with Adam's moments and the learning rate (within the bounds of `ppo`) of the generalist's training;
     that needs its checkpoint.pt."""
@@ -118,6 +122,8 @@ def finetune(
     folder: Path | None = None,
     quiet: bool = True,
     threads: int | None = None,
+    hooks: Sequence[RolloutHook] = (),
+    attach: Callable[[ActorCritic], object] | None = None,
 ) -> Finetuned:
     """Fine-tune `generalist` on one body; the generalist itself is not changed.
 
@@ -133,6 +139,8 @@ def finetune(
         folder: where to keep checkpoint, metrics and candidates; a run killed there is resumed.
         quiet: no progress on screen.
         threads: simulation threads.
+        hooks: learnt beside the policy, such as an estimator of the velocity; they go on where `folder` stopped.
+        attach: given the networks in training before it begins, for hooks that need one of them.
 
     Raises:
         ValueError: the design is out of bounds or the body has no stance.
@@ -150,7 +158,9 @@ def finetune(
         ppo=config.ppo,
     )
     bodies = repeat_design(factory, design, config.num_envs)
-    trainer = Trainer(factory, train, folder, designs=bodies, start=start, threads=threads)
+    trainer = Trainer(factory, train, folder, designs=bodies, start=start, threads=threads, hooks=hooks)
+    if attach is not None:
+        attach(trainer.model)
     if folder is not None:
         _check_folder(folder, config, resumed=trainer.iteration > 0)
     if learner is not None and trainer.iteration == 0:
@@ -189,6 +199,8 @@ def _task(task: TaskConfig, config: FinetuneConfig) -> TaskConfig:
     if config.command_vx is not None:
         narrow = replace(task.command, vx=config.command_vx, vy=(0.0, 0.0), yaw_rate=(0.0, 0.0), standing=0.0)
         task = replace(task, command=narrow)
+    if config.history is not None:
+        task = replace(task, observation=replace(task.observation, history=config.history))
     return task
 
 
