@@ -83,9 +83,34 @@ def rate_beside(folder: Path, factory: BodyFactory, config: TrainConfig) -> floa
     return float(path.read_text(encoding="utf-8"))
 
 
-def unseen_bodies(factory: BodyFactory) -> Array:
+def unseen_bodies(factory: BodyFactory, count: int = BODIES) -> Array:
     """The feasible bodies of the evaluations, drawn with a seed that no training has, (B, d)."""
-    return sample_designs(factory, BODIES, np.random.default_rng(EVALUATION_SEED))
+    return sample_designs(factory, count, np.random.default_rng(EVALUATION_SEED))
+
+
+def paired_ratio(ours: Array, theirs: Array) -> tuple[float, float, float]:
+    """Ratio of the means of two results of the same robots, (R,) each, and the bounds of its 95 % interval."""
+    mine, other = _resampled(ours, theirs)
+    # no success at all cannot be compared with anything
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.divide(ours.mean(), theirs.mean())), *_middle(mine / other)
+
+
+def paired_difference(ours: Array, theirs: Array) -> tuple[float, float, float]:
+    """Difference of the means of two results of the same robots, (R,) each, and the bounds of its 95 % interval."""
+    mine, other = _resampled(ours, theirs)
+    return float(ours.mean() - theirs.mean()), *_middle(mine - other)
+
+
+def _resampled(ours: Array, theirs: Array, draws: int = 10_000) -> tuple[Array, Array]:
+    """Means (draws,) of both over robots drawn with replacement, the same for both."""
+    index = np.random.default_rng(0).integers(len(ours), size=(draws, len(ours)))
+    return ours[index].mean(axis=1), theirs[index].mean(axis=1)
+
+
+def _middle(values: Array) -> tuple[float, float]:
+    low, high = np.percentile(values, (2.5, 97.5))
+    return float(low), float(high)
 
 
 def on(

@@ -114,7 +114,7 @@ class Student:
         return replace(
             config,
             robot=absolute(self.robot),
-            policy=self.policy,
+            policy=str(Path(self.policy).resolve()) if Path(self.policy).is_file() else self.policy,
             design=self.design,
             terrain=self.terrain,
             depth=self.depth,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping
+import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import distill
 import locorl
 import numpy as np
 import yaml
-from distill.commands.evaluate import print_scores, table_of
+from distill.comparison import print_scores, table_of
 from distill.evaluate import MemoryPolicy
 from distill.film import evaluate_on_film
 from locorl import DepthConfig, EvalConfig, LeggedEnv, Policy, TaskConfig, load_policy
@@ -23,7 +25,7 @@ from locorl.interfaces import Array
 from morphgen import BodyFactory
 from rich.console import Console
 
-from legged_codesign.adapt import AdaptConfig, adapt
+from legged_codesign.adapt import AdaptConfig, adapt, heading_columns
 from legged_codesign.pretrained import shipped
 from legged_codesign.provenance import provenance
 from legged_codesign.robots import body_factory
@@ -75,6 +77,15 @@ class StudentRun:
         config: what to do.
         folder: of the run.
         console: where to print.
+        prepared: folder of another student, whose teacher, estimator and history encoder are taken as they are.
+
+    Attributes:
+        teacher: the fine-tuned policy.
+        adaptation: its estimator and history encoder.
+        student: the trained student.
+        comparison: means and results robot by robot of teacher and student, JSON.
+        spec: what the bundle says of the robot, JSON.
+        bundle: folder of the bundle.
 
     Raises:
         LookupError: no installed package knows the robot.
@@ -82,14 +93,17 @@ class StudentRun:
         ValueError: generalist, robot and body do not fit together.
     """
 
-    def __init__(self, config: StudentConfig, folder: Path, console: Console | None = None) -> None:
+    def __init__(
+        self, config: StudentConfig, folder: Path, console: Console | None = None, prepared: Path | None = None
+    ) -> None:
         self.config, self.folder, self.console = config, folder, console or Console()
         self.factory: BodyFactory = body_factory(config.robot)
         self.generalist = shipped(config.policy)
         design = config.design or tuple(self.factory.space.nominal)
         self.design: Array = locorl.repeat_design(self.factory, np.asarray(design, dtype=np.float64), 1)[0]
-        load_policy(self.generalist).check_space(self.factory.name, self.factory.space)
-        self.teacher, self.adaptation = folder / "teacher.pt", folder / "adaptation.pt"
+        self._check(load_policy(self.generalist))
+        self._prepared = prepared is not None
+        self.teacher, self.adaptation = (prepared or folder) / "teacher.pt", (prepared or folder) / "adaptation.pt"
         self.student = folder / "student" / "student.pt"
         self.comparison, self.spec = folder / "comparison.json", folder / "spec.json"
         self.bundle = folder / "bundle"
@@ -117,17 +131,34 @@ class StudentRun:
                     self.export,
                 ),
             )
-            run_stages(self.folder, stages, self.console)
+            run_stages(self.folder, stages[1:] if self._prepared else stages, self.console)
         return self.bundle
+
+    def _check(self, generalist: Policy) -> None:
+        """Refuse at once what would fail after minutes of work."""
+        generalist.check_space(self.factory.name, self.factory.space)
+        card = generalist.card
+        led = len(heading_columns(card.task, len(card.design_names))) > 0
+        if led and not self.config.depth:
+            raise ValueError(
+                f"'{self.config.policy}' is told the way to go, which no sensor gives: a student must see; add --depth"
+            )
+        if self.config.depth and not led:
+            raise ValueError(
+                f"'{self.config.policy}' follows commands alone and has no way to find: leave --depth out, or take a "
+                "policy for courses, such as lite3-parkour"
+            )
 
     def adapt(self) -> None:
         """Fine-tune the generalist on the body, with estimator and ROA, and report what the latent knows."""
         config, start = self.config, load_policy(self.generalist)
+        _belong(self.folder / "adapt", [self.generalist])
         start = Policy(start.model, replace(start.card, task=self._ground(start.card.task)))
         teacher, networks = adapt(self.folder / "adapt", self.factory, start, self.design, config.adapt, config.seed)
         teacher.save(self.teacher)
         distill.save_adaptation(self.adaptation, networks)
-        env = self._env(teacher.card.task, max(128, 2 * networks.latent_dim))
+        robots = np.tile(self.design, (max(128, 2 * networks.latent_dim), 1))
+        env = StudentEnv(LeggedEnv(self.factory, robots, teacher.card.task, seed=config.seed))
         columns = {term.name: env.env.layout.column("implicit", term.name) for term in env.env.layout.implicit}
         known = distill.identify(env, teacher, networks, columns, seed=config.seed)
         told = {name: value for name, value in known.r2.items() if np.isfinite(value)}
@@ -139,6 +170,7 @@ class StudentRun:
         """Teach the student."""
         config, teacher = self.config, load_policy(self.teacher)
         folder = self.student.parent
+        _belong(folder, [self.teacher, self.adaptation])
         env = self._env(self._onboard(teacher.card.task), config.robots)
         if isinstance(env, VisionEnv):
             vision = replace(config.vision, seed=config.seed)
@@ -238,3 +270,12 @@ class StudentRun:
             return
         content = {"config": settings, "provenance": provenance()}
         write_text(path, yaml.safe_dump(content, sort_keys=False))
+
+
+def _belong(folder: Path, origins: Sequence[Path]) -> None:
+    """Keep what a training left in `folder` if it started from the same files; another one must not be resumed."""
+    mine = " ".join(hashlib.sha256(path.read_bytes()).hexdigest() for path in origins)
+    note = folder / "of.sha256"
+    if folder.exists() and not (note.exists() and note.read_text(encoding="utf-8") == mine):
+        shutil.rmtree(folder)
+    write_text(note, mine)

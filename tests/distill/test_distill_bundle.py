@@ -18,6 +18,7 @@ import torch
 from distill import BundleError, RawStates, export_bundle, verify_bundle
 from distill import export as export_module
 from distill.golden import plausible_states
+from distill.leapp import write_leapp
 
 FILES = {"policy.onnx", "policy.ts.pt", "golden.npz", "robot.urdf", "robot.xml", "scene.xml"}
 
@@ -318,3 +319,43 @@ def test_numbers_that_json_lacks_are_refused(spec, student, tmp_path):
     with pytest.raises(BundleError, match="total_mass"):
         export_bundle(tmp_path / "bundle", student, replace(spec, total_mass=-1.0))
     assert not list(tmp_path.iterdir())
+
+
+# ---------------------------------------------------------------- LEAPP
+
+
+def test_leapps_own_reader_repeats_the_golden_trace(bundle, tmp_path):
+    leapp = pytest.importorskip("leapp")
+    path = write_leapp(bundle, tmp_path / "leapp")
+    assert {each.name for each in path.parent.iterdir()} == {
+        "leapp.yaml",
+        "policy.onnx",
+        "initial_values.safetensors",
+    }
+    graph = leapp.InferenceManager(str(path))
+    assert (graph.inputs, graph.feedback_inputs) == (["policy/obs"], ["policy/history_in"])
+    assert graph.outputs == ["policy/action", "policy/velocity"]
+    with np.load(bundle / "golden.npz") as trace:
+        for obs, reset, action in zip(trace["obs"], trace["reset"], trace["action"], strict=True):
+            if reset:
+                graph.reset()
+            found = graph({"policy/obs": torch.from_numpy(obs)[None]})["policy/action"]
+            np.testing.assert_allclose(found[0].numpy(), action, atol=1e-5)
+
+
+def test_the_leapp_description_carries_the_manifest_and_the_hashes(bundle, tmp_path):
+    yaml = pytest.importorskip("yaml")
+    pytest.importorskip("safetensors")
+    path = write_leapp(bundle, tmp_path / "leapp")
+    found = yaml.safe_load(path.read_text())
+    assert found["extra"]["legged_bundle"] == manifest_of(bundle)
+    assert found["frequency"] == 50.0
+    parameters = found["models"]["policy"]["parameters"]
+    data = (path.parent / parameters["model_path"]).read_bytes()
+    assert parameters["sha256sum"] == hashlib.sha256(data).hexdigest()
+    assert parameters["md5sum"] == hashlib.md5(data, usedforsecurity=False).hexdigest()
+    # an altered bundle is not described
+    (bundle / "robot.urdf").write_text("<robot/>")
+    with pytest.raises(BundleError, match="altered"):
+        write_leapp(bundle, tmp_path / "other")
+    assert not (tmp_path / "other").exists()

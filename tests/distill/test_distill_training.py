@@ -15,6 +15,7 @@ from distill import (
     StudentPolicy,
     TrainConfig,
     TrainingDiverged,
+    build_student,
     load_student,
     train,
 )
@@ -216,3 +217,51 @@ def test_environments_and_teachers_that_break_the_contract_are_named(make_env, t
     teacher.act = lambda obs: act(obs)[:1]
     with pytest.raises(InterfaceError, match=r"'action' has shape \(1, 12\), expected \(64, 12\)"):
         run(make_env(), teacher, tmp_path)
+
+
+class TerrainTeacher:
+    """Knows the load as two latents: the first joints' as one of the terrain, the others' as one of the body.
+
+    Its linear actor reads [proprio, terrain, explicit, body], each with a weight of its own.
+    """
+
+    scan_latent_dim, latent_dim = 4, 8
+
+    def __init__(self) -> None:
+        eye, zero = torch.eye(12), torch.zeros(12, 12)
+        self.actor = torch.nn.Linear(36 + 4 + 3 + 8, 12)
+        with torch.no_grad():
+            weight = torch.cat((-0.8 * eye, eye, zero, -eye[:, :4], torch.zeros(12, 3), -eye[:, 4:]), dim=1)
+            self.actor.weight.copy_(weight)
+            self.actor.bias.zero_()
+
+    def act(self, obs):
+        parts = (obs["proprio"], self.scan_latent(obs), obs["explicit"], self.latent(obs))
+        return self.actor(torch.cat(parts, dim=1)).detach()
+
+    def scan_latent(self, obs):
+        return obs["implicit"][:, :4]
+
+    def latent(self, obs):
+        return obs["implicit"][:, 4:]
+
+
+def test_a_blind_student_of_a_teacher_that_sees_the_terrain_infers_that_too(make_env, plain_teacher, tmp_path):
+    env, teacher = make_env(), TerrainTeacher()
+    obs = env.reset(seed=1)
+    torch.testing.assert_close(teacher.act(obs), plain_teacher.act(obs))
+    student = train(env, teacher, tmp_path, replace(SMALL, iterations=2), TINY, progress=False)
+    assert (student.config.scan_dim, student.config.latent_dim) == (4, 8)
+    # its backbone begins as the teacher's: told what the teacher knows, an untrained student acts as the teacher
+    fresh = build_student(36, teacher, StudentConfig())
+    fresh.encoder.forward = lambda history: torch.zeros(len(history), fresh.config.encoder_features)
+    with torch.no_grad():
+        fresh.latent.weight.zero_()
+        fresh.latent.bias.copy_(obs["implicit"][0])
+        action = fresh.infer(obs["proprio"][:1].unsqueeze(1).expand(-1, fresh.config.history, -1)).action
+    torch.testing.assert_close(action, teacher.act({name: value[:1] for name, value in obs.items()}))
+    again = load_student(tmp_path / "student.pt", teacher)
+    history = torch.randn(3, student.config.history, 36)
+    for mine, theirs in zip(again.infer(history), student.infer(history), strict=True):
+        assert torch.equal(mine, theirs)
+    assert again.infer(history).latent.shape == (3, 12)

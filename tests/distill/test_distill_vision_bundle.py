@@ -28,6 +28,7 @@ from distill import (
     verify_bundle,
 )
 from distill.inspection import print_bundle
+from distill.leapp import write_leapp
 from distill.manifest import check_schema
 from distill.networks import mlp
 from distill.spec import HEADINGS
@@ -257,3 +258,20 @@ def test_inspection_tells_a_stranger_what_it_is(bundle):
         "depth_encoder.onnx",
     ):
         assert part in text, part
+
+
+def test_leapp_joins_both_networks(bundle, seeing, tmp_path):
+    """Its graph has one rate: a step of it is an image and its use at once, without latency."""
+    leapp = pytest.importorskip("leapp")
+    graph = leapp.InferenceManager(str(write_leapp(bundle, tmp_path / "leapp")))
+    assert sorted(graph.inputs) == ["depth/depth", "depth/obs", "policy/obs"]
+    assert sorted(graph.feedback_inputs) == ["depth/memory_in", "policy/history_in"]
+    torch.manual_seed(3)
+    history, memory = torch.zeros(1, seeing.history, seeing.proprio), torch.zeros(1, 12)
+    for _ in range(3):
+        obs, image = torch.randn(1, seeing.proprio), torch.rand(1, ROWS, COLUMNS) - 0.5
+        found = graph({"depth/depth": image, "depth/obs": obs, "policy/obs": obs})
+        with torch.no_grad():
+            terrain, heading, memory = seeing.see(seeing.features(image), obs, memory)
+            action, _, history = seeing(obs, terrain, heading, history)
+        torch.testing.assert_close(found["policy/action"], action, atol=1e-5, rtol=0)

@@ -290,3 +290,77 @@ def test_what_chooses_does_not_report(factory, folder, tmp_path, monkeypatch):
     config = replace(CHOOSING, choice=replace(CHOICE, seed=0))
     with pytest.raises(ValueError, match="what chose a policy cannot report"):
         Finetune(folder / "policy.pt", tmp_path, tuple(DESIGN), config=config).run()
+
+
+# ---------------------------------------------------------------- hooks
+
+
+class Counting:
+    """A hook that learns one number from the past frames that it is shown, and notes what it was attached to."""
+
+    name = "counting"
+
+    def __init__(self) -> None:
+        self.weight, self.iterations, self.model = torch.zeros(()), [], None
+
+    def begin(self, iteration):
+        assert self.model is not None
+        self.iterations.append(iteration)
+
+    def observe(self, obs):
+        return obs
+
+    def end(self, rollout):
+        self.weight = self.weight + rollout.obs["history"].square().mean()
+        return {"weight": self.weight.item()}
+
+    def loss(self, batch):
+        return None
+
+    def parameters(self):
+        return ()
+
+    def state_dict(self):
+        return {"weight": self.weight}
+
+    def load_state_dict(self, state):
+        self.weight = state["weight"]
+
+
+def hooked(generalist, factory, folder, config):
+    hook = Counting()
+    tuned = finetune(
+        generalist,
+        factory,
+        DESIGN,
+        config,
+        seed=3,
+        folder=folder,
+        threads=1,
+        hooks=[hook],
+        attach=lambda model: setattr(hook, "model", model),
+    )
+    return tuned, hook
+
+
+def test_hooks_learn_beside_a_fine_tune_and_go_on_where_it_stopped(generalist, factory, tmp_path):
+    config = replace(TINY, iterations=3, history=2)
+    whole, hook = hooked(generalist, factory, tmp_path / "whole", config)
+    assert hook.iterations == [0, 1, 2]
+    assert hook.model is whole.policy.model
+    assert [row["counting/weight"] > 0.0 for row in whole.curve] == [True] * 3
+    assert whole.policy.card.task.observation.history == 2
+    assert generalist.card.task.observation.history == 0
+    _, first = hooked(generalist, factory, tmp_path / "cut", replace(config, iterations=2))
+    assert first.iterations == [0, 1]
+    cut, second = hooked(generalist, factory, tmp_path / "cut", config)
+    assert second.iterations == [2]
+    assert torch.equal(second.weight, hook.weight)
+    assert same(cut.policy, whole.policy)
+
+
+def test_a_fine_tune_without_its_hooks_is_not_resumed(generalist, factory, tmp_path):
+    config = replace(TINY, history=2)
+    hooked(generalist, factory, tmp_path, config)
+    with pytest.raises(ValueError, match="give it the same"):
+        finetune(generalist, factory, DESIGN, replace(config, iterations=3), seed=3, folder=tmp_path, threads=1)

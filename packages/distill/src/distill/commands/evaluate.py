@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 
 from distill.commands.providing import Provided, student_policy
-from distill.evaluate import MemoryPolicy, Score, evaluate
+from distill.comparison import print_scores, table_of
+from distill.evaluate import MemoryPolicy, evaluate
 from distill.film import evaluate_on_film
 from distill.interfaces import Teacher
 
@@ -49,44 +48,3 @@ class Evaluate(Provided):
         if self.json is not None:
             self.json.parent.mkdir(parents=True, exist_ok=True)
             self.json.write_text(json.dumps(table_of(scores), indent=1) + "\n", encoding="utf-8")
-
-
-def table_of(scores: Mapping[str, Score]) -> dict[str, object]:
-    """Policy -> "all" and each thing that robots differ in -> means, as JSON data."""
-    return {
-        name: {"all": score.summary(), **{what: score.by(what) for what in score.groups}}
-        for name, score in scores.items()
-    }
-
-
-def print_scores(console: Console, scores: Mapping[str, Score]) -> None:
-    """Print the means of policies over all robots, then by terrain, body and so on."""
-    console.print(_table("all robots", {name: {"": score.summary()} for name, score in scores.items()}))
-    first = next(iter(scores.values()))
-    for what, groups in first.groups.items():
-        if len(set(groups)) > 1:
-            console.print(_table(f"by {what}", {name: score.by(what) for name, score in scores.items()}))
-
-
-_FORMATS = {
-    "robots": ("robots", "{:.0f}", 1.0),
-    "return": ("return", "{:.3f}", 1.0),
-    "tracking_error": ("tracking error, m/s", "{:.3f}", 1.0),
-    "succeeded": ("succeeded", "{:.1f} %", 100.0),
-    "survived": ("survived", "{:.1f} %", 100.0),
-    "velocity_error": ("error of estimated velocity, m/s", "{:.3f}", 1.0),
-}
-
-
-def _table(title: str, rows: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
-    """Policy -> group -> means, with the policies of a group below each other."""
-    known = {key for groups in rows.values() for means in groups.values() for key in means}
-    columns = [key for key in _FORMATS if key in known]
-    grouped = any(group for groups in rows.values() for group in groups)
-    table = Table(*(("group",) if grouped else ()), "policy", *(_FORMATS[key][0] for key in columns), title=title)
-    for group in next(iter(rows.values())):
-        for policy, groups in rows.items():
-            means = groups[group]
-            cells = [_FORMATS[key][1].format(means[key] * _FORMATS[key][2]) if key in means else "" for key in columns]
-            table.add_row(*((group,) if grouped else ()), policy, *cells)
-    return table

@@ -63,7 +63,7 @@ def with_cameras(env: StudentEnv, name: str) -> VisionEnv:
     Raises:
         InterfaceError: they have none.
     """
-    if missing := [part for part in ("heading", "depth_shape", "depth_period", "depth") if not hasattr(env, part)]:
+    if missing := [part for part in ("heading", "depth_shape", "depth_period") if not hasattr(env, part)]:
         raise InterfaceError(
             f"environment '{name}' has no {', '.join(missing)}: a seeing student needs robots with cameras, "
             "such as locorl's 'parkour-depth'"

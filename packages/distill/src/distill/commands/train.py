@@ -8,8 +8,8 @@ from pathlib import Path
 from rich.console import Console
 
 from distill.adaptation.modules import load_adaptation
-from distill.commands.evaluate import print_scores
 from distill.commands.providing import Provided, with_cameras
+from distill.comparison import print_scores
 from distill.errors import DistillError
 from distill.evaluate import MemoryPolicy, evaluate
 from distill.interfaces import StudentEnv, Teacher
