@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import distill
 import numpy as np
 import tyro
 from locorl import EvalConfig, read_metrics
@@ -48,6 +49,7 @@ class Options:
             terrain=("hurdles",),
             depth=True,
             robots=128,
+            vision=distill.VisionTrainConfig(iterations=600, updates=16, batch=64),
             # fast enough for the longest course
             judged=EvalConfig(seconds=20.0, vx=(0.9, 1.0), robots_per_body=200, reset_joint=0.1, seed=4242),
         )

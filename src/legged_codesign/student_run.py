@@ -69,6 +69,12 @@ class StudentConfig:
     camera: DepthConfig = field(default_factory=DepthConfig.small)
     judged: EvalConfig = field(default_factory=lambda: EvalConfig(robots_per_body=100, reset_joint=0.1, seed=4242))
 
+    @property
+    def samples(self) -> int:
+        """Environment steps of the fine-tune and of the student's training."""
+        train = self.vision if self.depth else self.imitation
+        return self.adapt.finetune.samples + train.iterations * train.rollout_steps * self.robots
+
 
 class StudentRun:
     """One student over one folder; each stage reads its inputs from disk and is skipped if they have not changed.
@@ -115,6 +121,7 @@ class StudentRun:
             RunError: the folder belongs to another configuration, is in use or cannot be written to.
         """
         settings: Mapping[str, object] = to_dict(self.config)
+        self.console.print(f"[bold]{self.folder}[/bold]: {self.config.samples / 1e6:.1f} M environment steps")
         with locked(self.folder):
             self._bind(settings)
             stages = (
@@ -126,7 +133,7 @@ class StudentRun:
                 Stage(
                     "export",
                     settings,
-                    [self.teacher, self.student],
+                    [self.teacher, self.student, self.comparison],
                     [self.spec, self.bundle / "manifest.json"],
                     self.export,
                 ),
