@@ -115,7 +115,7 @@ def test_a_student_is_compared_with_its_teacher_by_group_and_on_film(
     class Described(make_env):
         """Even robots are "hilly", odd ones "flat"; a step's error is 1 m/s on hills; picture k is k + 1 everywhere."""
 
-        picture_dt = 0.02
+        control_dt = 0.02
 
         def groups(self):
             names = ["flat", "hilly"] * (self.num_envs // 2)

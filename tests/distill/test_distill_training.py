@@ -265,3 +265,19 @@ def test_a_blind_student_of_a_teacher_that_sees_the_terrain_infers_that_too(make
     for mine, theirs in zip(again.infer(history), student.infer(history), strict=True):
         assert torch.equal(mine, theirs)
     assert again.infer(history).latent.shape == (3, 12)
+
+
+def test_a_teacher_of_other_robots_is_refused(make_env, teacher, tmp_path):
+    class SignedEnv(make_env):
+        signature = property(lambda self: {"robot": "toy", "control period, s": 0.02, "colour": "red"})
+
+    class SignedTeacher(type(teacher)):
+        period = 0.01
+        signature = property(lambda self: {"robot": "toy", "control period, s": self.period})
+
+    with pytest.raises(InterfaceError, match=r"control period, s: 0\.01 in its training, 0\.02 here$"):
+        run(SignedEnv(), SignedTeacher(), tmp_path)
+    assert not list(tmp_path.iterdir())
+    SignedTeacher.period = 0.02
+    run(SignedEnv(num_envs=4), SignedTeacher(), tmp_path / "right", replace(SMALL, iterations=1))
+    run(make_env(num_envs=4), SignedTeacher(), tmp_path / "silent", replace(SMALL, iterations=1))

@@ -9,8 +9,8 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
-from distill import cli, providers
-from distill.interfaces import FilmedEnv, GroupedEnv, check_env
+from distill import InterfaceError, cli, providers
+from distill.interfaces import FilmedEnv, GroupedEnv, check_env, check_teacher
 
 from legged_codesign.pretrained import shipped
 
@@ -66,3 +66,15 @@ def test_a_blind_and_a_seeing_student_by_command_alone(monkeypatch: pytest.Monke
     with pytest.raises(SystemExit):
         distill(monkeypatch, "evaluate", "--env", "parkour", "--teacher", teacher, "--option", *ground, *student)
     assert "'parkour' has no" in capsys.readouterr().err
+
+
+def test_a_teacher_of_another_robot_rate_or_observation_is_refused() -> None:
+    teacher = providers.load_teacher(shipped("go2-flat"))
+    check_teacher(providers.make_env("locomotion", {"num_envs": 2}), teacher)
+    for options, message in (
+        ({"robot": "lite3"}, "robot: go2 in its training, lite3 here"),
+        ({"preset": "paper"}, "proprioception: .* in its training"),
+        ({"task": "locomotion-rough"}, "scan: None in its training, ScanConfig"),
+    ):
+        with pytest.raises(InterfaceError, match=message):
+            check_teacher(providers.make_env("locomotion", {"num_envs": 2, **options}), teacher)

@@ -46,14 +46,14 @@ def evaluate_on_film(
     if not 0 <= robot < env.num_envs:
         raise InterfaceError(f"there is no robot {robot} of {env.num_envs} to film")
     _check_extra()
-    every = max(1, round(1.0 / (FRAMES_PER_SECOND * env.picture_dt)))
+    every = max(1, round(1.0 / (FRAMES_PER_SECOND * env.control_dt)))
     scores: dict[str, Score] = {}
     panes: list[_Pane] = []
     for name, policy in policies.items():
         panes.append(_Pane(env, robot, name, every))
         scores[name] = evaluate(env, policy, steps, seed, panes[-1].watch)
     frames = (np.concatenate(row, axis=1) for row in zip(*(pane.frames for pane in panes), strict=True))
-    write_film(path, frames, 1.0 / (every * env.picture_dt))
+    write_film(path, frames, 1.0 / (every * env.control_dt))
     return scores
 
 

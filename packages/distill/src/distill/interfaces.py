@@ -175,13 +175,40 @@ class FilmedEnv(Protocol):
     """An environment that draws pictures."""
 
     @property
-    def picture_dt(self) -> float:
+    def control_dt(self) -> float:
         """Time between two control steps, s."""
         ...
 
     def picture(self, robot: int, width: int, height: int) -> NDArray[np.uint8]:
         """One robot as it is now, (height, width, 3), red, green, blue."""
         ...
+
+
+@runtime_checkable
+class Signed(Protocol):
+    """An environment or teacher that says what the two must have in common."""
+
+    @property
+    def signature(self) -> Mapping[str, object]:
+        """What -> value, such as robot, observation terms, control period and scale of actions."""
+        ...
+
+
+def check_teacher(env: StudentEnv, teacher: Teacher) -> None:
+    """Check that a teacher is one for the robots of an environment, as far as both tell.
+
+    Raises:
+        InterfaceError: naming what differs.
+    """
+    if not isinstance(env, Signed) or not isinstance(teacher, Signed):
+        return
+    here, there = env.signature, teacher.signature
+    if unequal := [what for what, value in here.items() if what in there and there[what] != value]:
+        raise InterfaceError(
+            "this teacher was trained on other robots than those of the environment; choose the environment's options "
+            "as in its training. "
+            + "; ".join(f"{what}: {there[what]} in its training, {here[what]} here" for what in unequal)
+        )
 
 
 def check_env(env: StudentEnv) -> None:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from distill.collect import Collector
 from distill.imitation import LossWeights, imitation_loss
-from distill.interfaces import ACTIONS, VELOCITY, PrivilegedTeacher, StudentEnv, Teacher, check_env
+from distill.interfaces import ACTIONS, VELOCITY, PrivilegedTeacher, StudentEnv, Teacher, check_env, check_teacher
 from distill.rollouts import RolloutRing
 from distill.student import Student, StudentConfig, blind_payload, build_student
 from distill.teachers import scan_width
@@ -73,6 +73,7 @@ def train(
         TrainingDiverged: something is not finite; the last checkpoint is kept.
     """
     check_env(env)
+    check_teacher(env, teacher)
     config = config or TrainConfig()
     with own_random_state(config.seed):
         distiller = Distiller(env, teacher, config, student or StudentConfig())

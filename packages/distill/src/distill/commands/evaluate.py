@@ -12,7 +12,7 @@ from distill.commands.providing import Provided, student_policy
 from distill.comparison import print_scores, table_of
 from distill.evaluate import MemoryPolicy, evaluate
 from distill.film import evaluate_on_film
-from distill.interfaces import Teacher
+from distill.interfaces import Teacher, check_teacher
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,7 @@ class Evaluate(Provided):
     def run(self, console: Console) -> None:
         """Print a table of all robots, and one for each thing that they differ in."""
         env, teacher = self.make_env(), self.load_teacher()
+        check_teacher(env, teacher)
         policies: dict[str, MemoryPolicy | Teacher] = {
             "teacher": teacher,
             "student": student_policy(self.student, env, self.env, teacher),

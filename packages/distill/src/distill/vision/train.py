@@ -12,7 +12,7 @@ from torch import Tensor
 
 from distill.adaptation.modules import AdaptationModule
 from distill.errors import InterfaceError
-from distill.interfaces import Teacher, VisionEnv, check_env
+from distill.interfaces import Teacher, VisionEnv, check_env, check_teacher
 from distill.teachers import has_scan
 from distill.training import Training, own_random_state
 from distill.vision.collect import VisionCollector
@@ -57,6 +57,7 @@ def train_vision(
         TrainingDiverged: something is not finite; the last checkpoint is kept.
     """
     check_env(env)
+    check_teacher(env, teacher)
     config = config or VisionTrainConfig()
     with own_random_state(config.seed):
         distiller = VisionDistiller(env, teacher, config, student or VisionStudentConfig(), adaptation)

@@ -66,9 +66,15 @@ class StudentEnv:
         return self.env.group_dims
 
     @property
-    def picture_dt(self) -> float:
+    def control_dt(self) -> float:
         """Control period, s."""
         return self.env.dt
+
+    @property
+    def signature(self) -> dict[str, object]:
+        """What the robots must have in common with those that a policy was trained on: name -> value."""
+        factory = self.env.factory
+        return {"robot": factory.name, "design": tuple(factory.space.names), **self.env.task.interface}
 
     def reset(self, seed: int | None = None) -> dict[str, Tensor]:
         """Start every robot, the cameras and the curriculum afresh; None draws a seed. Returns the observation."""

@@ -112,6 +112,11 @@ class Policy:
         """
         return self.model.scan_latent(obs)
 
+    @property
+    def signature(self) -> dict[str, object]:
+        """What it must have in common with the robots that it controls: name -> value."""
+        return {"robot": self.card.robot, "design": self.card.design_names, **self.card.task.interface}
+
     def check_space(self, robot: str, space: DesignSpace) -> None:
         """Refuse a robot or a design space that the policy was not trained on.
 

@@ -47,6 +47,18 @@ class TaskConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
 
     @property
+    def interface(self) -> dict[str, object]:
+        """What a policy must have been trained with to control robots on this task: name -> value."""
+        return {
+            "proprioception": self.observation.proprio,
+            "motors": self.observation.motors,
+            "scan": self.observation.scan,
+            "control period, s": self.physics.control_dt,
+            "action scale, rad": self.action_scale,
+            "action clip": self.action_clip,
+        }
+
+    @property
     def episode_steps(self) -> int:
         """Control steps in an episode."""
         return round(self.episode_seconds / self.physics.control_dt)
