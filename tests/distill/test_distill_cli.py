@@ -217,6 +217,8 @@ def test_options_that_would_do_nothing_and_missing_parts_are_refused(command, in
     assert (code, "--no-mts, --blind: only a seeing student has that; add --seeing" in err) == (1, True)
     code, _, err = command(*base, "--env", "sighted", "--seeing")
     assert (code, "--adaptation FILE" in err) == (1, True)
+    code, _, err = command(*base, "--env", "sighted", "--seeing", "--no-roa", "--adaptation", "a.pt")
+    assert (code, "not read without ROA" in err) == (1, True)
     code, _, err = command(*base, "--env", "toy", "--seeing", "--no-roa")
     assert (code, "'toy' has no heading, depth_shape, depth_period:" in err) == (1, True)
     code, _, err = command(*base, "--env", "sighted", "--seeing", "--no-roa", "--vision.updates", 0)

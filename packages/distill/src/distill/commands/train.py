@@ -48,7 +48,7 @@ class Train(Provided):
     student: StudentConfig = field(default_factory=StudentConfig)
     """Its architecture."""
     vision: VisionTrainConfig = field(default_factory=VisionTrainConfig)
-    """Training of a seeing student; the ablations above overrule it."""
+    """Training of a seeing student; an ablation asked for here or above is done."""
     vision_student: VisionStudentConfig = field(default_factory=VisionStudentConfig)
     """Its architecture and timing."""
 
@@ -74,7 +74,10 @@ class Train(Provided):
         }
         if idle := [name for name, is_changed in changed.items() if is_changed and not self.seeing]:
             raise DistillError(f"{', '.join(idle)}: only a seeing student has that; add --seeing")
-        if self.seeing and self.roa and self.adaptation is None:
+        roa = self._vision().roa
+        if self.seeing and not roa and self.adaptation is not None:
+            raise DistillError("--adaptation is not read without ROA; leave it or --no-roa out")
+        if self.seeing and roa and self.adaptation is None:
             raise DistillError(
                 "a seeing student needs the estimator and history encoder that were prepared with its teacher: give "
                 "--adaptation FILE (`codesign student` writes one), or --no-roa to train them from scratch"
@@ -86,8 +89,14 @@ class Train(Provided):
 
     def _seeing(self, env: StudentEnv, teacher: Teacher) -> MemoryPolicy:
         robots = with_cameras(env, self.env)
-        config = replace(self.vision, mts=self.mts, roa=self.roa, latent_supervision=self.latent_supervision)
+        config = self._vision()
         adaptation = None if self.adaptation is None else load_adaptation(self.adaptation, env.device)
-        student = replace(self.vision_student, blind=self.blind)
+        student = replace(self.vision_student, blind=self.blind or self.vision_student.blind)
         found = train_vision(robots, teacher, self.out, config, student, adaptation, resume=self.resume)
         return VisionPolicy(found, robots)
+
+    def _vision(self) -> VisionTrainConfig:
+        """The training of a seeing student, with the ablations."""
+        vision = self.vision
+        supervised = self.latent_supervision or vision.latent_supervision
+        return replace(vision, mts=self.mts and vision.mts, roa=self.roa and vision.roa, latent_supervision=supervised)
