@@ -129,7 +129,7 @@ def test_both_are_read_back_from_a_file(tmp_path):
     windows = torch.randn(2, 4, PROPRIO)
     assert torch.equal(loaded.latent(windows), adaptation.latent(windows))
     assert torch.equal(loaded.velocity(windows[:, -1]), adaptation.velocity(windows[:, -1]))
-    torch.save({"format": 1, "adaptation": {"proprio": 3}}, tmp_path / "half.pt")
+    torch.save({"format": 2, "adaptation": {"proprio": 3}}, tmp_path / "half.pt")
     with pytest.raises(CheckpointError, match=r"half\.pt: holds no complete"):
         load_adaptation(tmp_path / "half.pt")
 
