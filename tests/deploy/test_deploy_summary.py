@@ -36,7 +36,8 @@ def motion(ticks, speed, yaw_rate, lead=10, heading=0.0):
         late=np.arange(count) % 7 == 0,
         skipped=np.arange(count) // (count - 2),
         clamped=np.ones(count, dtype=int),
-        energy_pos_j=3.0 * np.arange(count),
+        joint_energy_pos_j=np.arange(count)[:, None] * np.array([3.0] + 11 * [0.0]),
+        states=4 * np.arange(count),
         peak_w=np.arange(count) + 0.5,
         position=np.stack([x, y, zeros + 0.3], axis=1),
         quat_wxyz=np.stack([np.cos(yaw / 2), zeros, zeros, np.sin(yaw / 2)], axis=1),
@@ -111,7 +112,7 @@ def test_hardware_has_no_truth():
     trace = motion(100, SPEED, 0.0)
     nothing = {
         name: np.full_like(getattr(trace, name), np.nan)
-        for name in ("energy_pos_j", "peak_w", "position", "quat_wxyz", "velocity", "yaw_rate")
+        for name in ("joint_energy_pos_j", "peak_w", "position", "quat_wxyz", "velocity", "yaw_rate")
     }
     summary = summarise(info((SPEED, 0.0, 0.0), 2.0), replace(trace, **nothing))
     assert summary.distance_m is None

@@ -167,12 +167,14 @@ class EnergyReading:
     """Mechanical energy summed at the rate of the state, not of the loop.
 
     Attributes:
-        energy_pos_j: Positive work since the start (paper eq. 10 times the step), J.
-        peak_pos_w: Largest positive power since the previous reading, W.
+        joint_energy_pos_j: Positive work of each joint since the start (paper eq. 10 times the step), shape (n,), J.
+        peak_pos_w: Largest positive power of all joints together since the previous reading, W.
+        states: How many states were summed since the start.
     """
 
-    energy_pos_j: float
+    joint_energy_pos_j: Array
     peak_pos_w: float
+    states: int
 
 
 @runtime_checkable

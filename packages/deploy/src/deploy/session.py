@@ -11,6 +11,7 @@ import numpy as np
 from deploy.bundles.golden import check_golden
 from deploy.bundles.loading import load_bundle
 from deploy.bundles.manifest import Bundle
+from deploy.control.binding import JointBinding
 from deploy.control.controller import Controller, ControllerConfig, Mode
 from deploy.control.schedule import Schedule
 from deploy.errors import DeployError
@@ -137,6 +138,7 @@ def _loop(
     command = np.array(info.command)
     remaining = round(info.duration_s * info.policy_hz)
     fallen_below = FALLEN_SHARE * simulated.truth().height_over_feet if simulated else 0.0
+    binding = JointBinding(bundle.joint_names, robot.spec.joint_names, robot.spec.name)
     schedule = Schedule(robot.clock, bundle.period_ns)
     end = ""
     while True:
@@ -148,7 +150,7 @@ def _loop(
             sample = Sample(
                 tick,
                 truth=simulated.truth() if simulated else None,
-                energy=simulated.energy() if simulated else None,
+                energy=binding.energy(simulated.energy()) if simulated else None,
             )
             recorder.add(sample)
             if writer is not None:

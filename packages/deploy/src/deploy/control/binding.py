@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from deploy.errors import RobotError
-from deploy.interfaces import Array, JointCommand, RobotState
+from deploy.interfaces import Array, EnergyReading, JointCommand, RobotState
 
 
 class JointBinding:
@@ -33,6 +33,10 @@ class JointBinding:
         """The state with its joint arrays in policy order."""
         order = self._to_policy
         return replace(state, q=state.q[order], dq=state.dq[order], tau=state.tau[order])
+
+    def energy(self, reading: EnergyReading) -> EnergyReading:
+        """The reading with its joint array in policy order."""
+        return replace(reading, joint_energy_pos_j=reading.joint_energy_pos_j[self._to_policy])
 
     def command(self, command: JointCommand) -> JointCommand:
         """A command in policy order, put into the robot's order."""

@@ -19,13 +19,15 @@ WORLD, BASE = "world", "base"
 
 DEFINITIONS = {
     "legged_deploy/msg/Power": """
-# Mechanical joint power and energy.
+# Mechanical joint power and energy; per joint in the order of /joint_states.
 std_msgs/Header header
-float64 pos_w              # sum of positive joint powers at this instant, W (paper eq. 10, one tick)
-float64 net_w              # sum of joint powers at this instant, W
-float64 peak_w             # largest pos_w at any physics step since the previous message, NaN on hardware
-float64 energy_pos_j       # positive work since the start, summed at every physics step, NaN on hardware
-float64[12] joint_power_w  # one per joint, in the order of /joint_states
+float64 pos_w                  # sum of positive joint powers at this instant, W (paper eq. 10, one tick)
+float64 net_w                  # sum of joint powers at this instant, W
+float64 peak_w                 # largest pos_w at any state since the previous message, NaN where nothing measured it
+float64 energy_pos_j           # positive work since the start, summed at the rate of the state, NaN as above
+float64[12] joint_power_w      # at this instant
+float64[12] joint_energy_pos_j # share of each joint in energy_pos_j
+uint64 states                  # states summed since the start, 0 where nothing measured it
 """,
     "legged_deploy/msg/Timing": """
 # One tick of the control loop, times in ns on the robot's clock.
@@ -198,14 +200,17 @@ class Encoder:
     def _power(self, sample: Sample) -> Any:
         state, energy = sample.tick.state, sample.energy
         power = state.dq * state.tau
+        joint_energy = np.full_like(power, np.nan) if energy is None else energy.joint_energy_pos_j
         return self._make(
             "legged_deploy/msg/Power",
             header=self._header(state.stamp_ns),
             pos_w=float(np.maximum(power, 0.0).sum()),
             net_w=float(power.sum()),
             peak_w=np.nan if energy is None else energy.peak_pos_w,
-            energy_pos_j=np.nan if energy is None else energy.energy_pos_j,
+            energy_pos_j=float(joint_energy.sum()),
             joint_power_w=power,
+            joint_energy_pos_j=joint_energy,
+            states=0 if energy is None else energy.states,
         )
 
     def _odometry(self, stamp_ns: int, truth: GroundTruth) -> Any:

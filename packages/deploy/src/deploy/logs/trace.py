@@ -36,7 +36,8 @@ class Trace:
         late: Shape (T,).
         skipped: Shape (T,).
         clamped: Shape (T,).
-        energy_pos_j: Positive work since the start at the rate of the state, shape (T,), J.
+        joint_energy_pos_j: Positive work of each joint since the start at the rate of the state, shape (T, 12), J.
+        states: States summed into it, shape (T,); 0 where nothing measured it.
         peak_w: Peak positive power since the previous tick, shape (T,), W.
         position: Base in the world, shape (T, 3), m.
         quat_wxyz: True orientation of the base, shape (T, 4).
@@ -52,7 +53,8 @@ class Trace:
     late: NDArray[np.bool_]
     skipped: NDArray[np.int64]
     clamped: NDArray[np.int64]
-    energy_pos_j: Array
+    joint_energy_pos_j: Array
+    states: NDArray[np.int64]
     peak_w: Array
     position: Array
     quat_wxyz: Array
@@ -80,7 +82,8 @@ class TraceRecorder:
                 "late": tick.slot.late,
                 "skipped": tick.slot.skipped,
                 "clamped": tick.clamped,
-                "energy_pos_j": np.nan if energy is None else energy.energy_pos_j,
+                "joint_energy_pos_j": np.full(12, np.nan) if energy is None else energy.joint_energy_pos_j,
+                "states": 0 if energy is None else energy.states,
                 "peak_w": np.nan if energy is None else energy.peak_pos_w,
                 "position": np.full(3, np.nan) if truth is None else truth.position,
                 "quat_wxyz": np.full(4, np.nan) if truth is None else truth.quat_wxyz,
@@ -158,7 +161,8 @@ def _trace(path: Path, messages: Iterable[tuple[int, str, Any]]) -> Trace:
                 "late": timing.late,
                 "skipped": timing.skipped,
                 "clamped": tick["/controller"].clamped,
-                "energy_pos_j": power.energy_pos_j,
+                "joint_energy_pos_j": power.joint_energy_pos_j,
+                "states": power.states,
                 "peak_w": power.peak_w,
                 **_odometry(tick.get("/ground_truth")),
             }

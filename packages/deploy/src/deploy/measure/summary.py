@@ -107,7 +107,7 @@ def summarise(info: RunInfo, trace: Trace) -> RunSummary:
     closed = np.append(active, min(active[-1] + 1, len(trace.mode) - 1)) if len(active) else active
     dt = 1.0 / info.policy_hz
     f = eq10(trace.dq[active], trace.tau[active])
-    spent = _difference(trace.energy_pos_j, closed)
+    spent = _difference(trace.joint_energy_pos_j.sum(axis=1), closed)
     energy = joules(f, dt) if spent is None else spent
     peaks = positive_power(trace.dq[active], trace.tau[active]) if spent is None else trace.peak_w[closed[1:]]
     command = np.array(info.command)

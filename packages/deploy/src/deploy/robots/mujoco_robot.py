@@ -75,7 +75,7 @@ class MujocoRobot:
         self._step_ns = self._model.opt.timestep * 1e9
         self._steps = 0
         self._reads = 0
-        self._energy_pos = 0.0
+        self._energy_pos = np.zeros(len(self._joints.names))
         self._peak_pos = 0.0
         self._start_in_stance(bundle, np.random.default_rng(seed), joint_noise)
 
@@ -186,9 +186,9 @@ class MujocoRobot:
             velocity = self._data.qvel[self._joints.dof].copy()
             mujoco.mj_step(self._model, self._data)
             # mj_step leaves the forces that acted at its start: they pair with the velocity from before it.
-            power = float(np.maximum(self._data.qfrc_actuator[self._joints.dof] * velocity, 0.0).sum())
+            power = np.maximum(self._data.qfrc_actuator[self._joints.dof] * velocity, 0.0)
             self._energy_pos += power * self._model.opt.timestep
-            self._peak_pos = max(self._peak_pos, power)
+            self._peak_pos = max(self._peak_pos, float(power.sum()))
             self._steps += 1
         if steps > 0:
             mujoco.mj_forward(self._model, self._data)  # forces and accelerations of this very instant
@@ -246,7 +246,7 @@ class MujocoRobot:
         )
 
     def energy(self) -> EnergyReading:
-        """Positive joint work since construction, and the peak power since the previous call."""
-        reading = EnergyReading(self._energy_pos, self._peak_pos)
+        """Positive work of each joint since construction, and the peak power since the previous call."""
+        reading = EnergyReading(self._energy_pos.copy(), self._peak_pos, self._steps)
         self._peak_pos = 0.0
         return reading
