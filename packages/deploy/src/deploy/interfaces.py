@@ -13,15 +13,29 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """What a robot is.
+    """What a robot is; None where nothing is known.
 
     Attributes:
         name: For messages and logs.
         joint_names: In the robot's own order, which all its arrays use; others bind by these names.
+        lower: Smallest joint angles, rad.
+        upper: Largest joint angles, rad.
+        torque_limit: Largest joint torques, N m.
+        velocity_limit: Largest joint velocities, rad/s.
+        feet: Names of the feet, in the order of `RobotState.contact`.
+        state_hz: Rate at which new readings come, Hz.
+        command_hz: Highest rate of commands, Hz.
     """
 
     name: str
     joint_names: tuple[str, ...]
+    lower: tuple[float, ...] | None = None
+    upper: tuple[float, ...] | None = None
+    torque_limit: tuple[float, ...] | None = None
+    velocity_limit: tuple[float, ...] | None = None
+    feet: tuple[str, ...] | None = None
+    state_hz: float | None = None
+    command_hz: float | None = None
 
 
 @dataclass(frozen=True)
@@ -37,6 +51,9 @@ class RobotState:
         quat_wxyz: Orientation of the base in the world, shape (4,).
         gyro: Angular velocity, base frame, shape (3,), rad/s.
         acc: Specific force (gravity included), base frame, shape (3,), m/s^2.
+        contact: Feet that touch the ground, in the order of ``spec.feet``; None where nothing tells.
+        battery: Voltage and current of the battery, V and A; None where unknown.
+        operator_stop: The operator asks for a stop on the robot's own remote control.
     """
 
     stamp_ns: int
@@ -47,6 +64,9 @@ class RobotState:
     quat_wxyz: Array
     gyro: Array
     acc: Array
+    contact: NDArray[np.bool_] | None = None
+    battery: tuple[float, float] | None = None
+    operator_stop: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,12 +85,31 @@ class JointCommand:
 
 
 @dataclass(frozen=True)
+class Intrinsics:
+    """Pinhole model, px; pixel (row i, column j) looks through (j + 0.5, i + 0.5), rows counted downwards."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True)
 class DepthFrame:
-    """A depth image in metres, shape (height, width), with its time on the robot's clock in ns."""
+    """A depth image.
+
+    Attributes:
+        stamp_ns: Time of the image on the robot's clock, ns.
+        seq: Number of the image.
+        image_m: Depth along the optical axis, shape (height, width), m; 0 or NaN where nothing was measured, inf
+            where nothing is in sight.
+        intrinsics: Of this image; None for one that has the field of view of the policy's camera.
+    """
 
     stamp_ns: int
     seq: int
     image_m: NDArray[np.float32]
+    intrinsics: Intrinsics | None = None
 
 
 class Clock(Protocol):
