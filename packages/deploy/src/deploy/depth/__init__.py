@@ -1,0 +1,1 @@
+"""Depth images: from a camera to what the network reads, the same for every camera."""
