@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from deploy.logs.metadata import RunInfo
 from deploy.logs.trace import Trace
-from deploy.logs.writer import RunInfo
 from deploy.measure.summary import summarise
 
 HZ = 50
@@ -31,6 +31,10 @@ def motion(ticks, speed, yaw_rate, lead=10, heading=0.0):
         mode=np.array(["stand_up"] * lead + ["policy"] * ticks + ["damp"]),
         reason="finished",
         time=np.arange(count) / HZ,
+        due=np.arange(count) / HZ,
+        done=np.arange(count) / HZ,
+        q=np.zeros((count, 12)),
+        q_target=np.zeros((count, 12)),
         dq=np.ones((count, 12)),
         tau=np.tile(np.arange(count)[:, None] / 12, (1, 12)),
         late=np.arange(count) % 7 == 0,

@@ -17,8 +17,10 @@ from deploy.control.schedule import Schedule
 from deploy.errors import DeployError
 from deploy.interfaces import RobotInterface, Simulated
 from deploy.logs.messages import Sample
-from deploy.logs.trace import TraceRecorder, read_log
-from deploy.logs.writer import LogWriter, RunInfo
+from deploy.logs.metadata import RunInfo
+from deploy.logs.reading import read_log
+from deploy.logs.trace import TraceRecorder
+from deploy.logs.writer import LogWriter
 from deploy.measure.summary import FINISHED, RunSummary, summarise
 from deploy.policy.onnx_runtime import OnnxRuntime
 
@@ -102,7 +104,8 @@ def report(log: str | Path) -> RunSummary:
     Raises:
         LogError: The file is missing, torn, altered, or not a log of this package.
     """
-    return summarise(*read_log(log))
+    read = read_log(log)
+    return summarise(read.info, read.trace)
 
 
 def _simulate(bundle: Bundle, seed: int) -> RobotInterface:
@@ -155,6 +158,8 @@ def _loop(
             recorder.add(sample)
             if writer is not None:
                 writer.write(sample)
+                if writer.failure is not None:
+                    end = writer.failure
             if tick.mode is Mode.DAMP:
                 return
             remaining -= tick.mode is Mode.POLICY

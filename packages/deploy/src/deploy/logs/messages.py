@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from deploy.bundles.manifest import Bundle
@@ -14,8 +15,8 @@ from deploy.control.controller import Tick
 from deploy.interfaces import Array, EnergyReading, GroundTruth
 from deploy.policy.observation import rotate_inverse
 
-WORLD, BASE = "world", "base"
-"""Frames: `world` has z up; `base` is the floating base, x forward, y left, z up."""
+WORLD, BASE, CAMERA = "world", "base", "camera_depth_optical_frame"
+"""Frames: `world` has z up; `base` is the floating base, x forward, y left, z up; the camera looks along z."""
 
 DEFINITIONS = {
     "legged_deploy/msg/Power": """
@@ -37,6 +38,9 @@ int64 due_ns
 int64 start_ns
 int64 done_ns
 int64 state_stamp_ns
+int64 seen_tick            # policy tick of the image whose features the policy used, -1: none
+int64 seen_stamp_ns        # when it was taken, -1: none
+int64 picture_tick         # policy tick of the image that entered the depth encoder now, -1: none
 bool late                  # started more than the tolerance after due_ns
 uint32 skipped             # slots given up since the previous tick
 """,
@@ -57,6 +61,11 @@ TOPICS = {
     "/policy/obs": "std_msgs/msg/Float32MultiArray",
     "/policy/action": "std_msgs/msg/Float32MultiArray",
     "/policy/velocity": "geometry_msgs/msg/TwistStamped",
+    "/policy/terrain": "std_msgs/msg/Float32MultiArray",
+    "/policy/heading": "std_msgs/msg/Float32MultiArray",
+    "/depth/image": "sensor_msgs/msg/Image",
+    "/foot_contact": "std_msgs/msg/Float32MultiArray",
+    "/battery": "sensor_msgs/msg/BatteryState",
     "/power": "legged_deploy/msg/Power",
     "/timing": "legged_deploy/msg/Timing",
     "/controller": "legged_deploy/msg/ControllerState",
@@ -66,7 +75,13 @@ TOPICS = {
 
 @dataclass(frozen=True)
 class Sample:
-    """A tick and what a simulator measured at the same instant (None on hardware)."""
+    """A tick and what was measured at the same instant.
+
+    Attributes:
+        tick: What the controller did.
+        truth: Pose and velocity of a simulated base, None on hardware.
+        energy: Work of the joints so far, in policy order; None where nothing counts it.
+    """
 
     tick: Tick
     truth: GroundTruth | None = None
@@ -100,6 +115,8 @@ class Encoder:
         """Topic and message of everything that is known about one tick."""
         tick = sample.tick
         state, sent, step = tick.state, tick.joint_command, tick.step
+        seen = getattr(step, "seen", None)
+        picture = getattr(step, "picture", None)
         stamp = tick.slot.start_ns
         yield "/joint_states", self._joints(state.stamp_ns, state.q, state.dq, state.tau)
         if sent is not None:
@@ -113,6 +130,15 @@ class Encoder:
             yield "/policy/action", self._array(step.action, "action")
             if step.velocity is not None:
                 yield "/policy/velocity", self._twist_stamped(stamp, step.velocity, 0.0)
+        if seen is not None:
+            yield "/policy/terrain", self._array(seen.terrain, "terrain")
+            yield "/policy/heading", self._array(seen.heading, "heading")
+        if picture is not None:
+            yield "/depth/image", self._image(picture.stamp_ns, picture.image)
+        if state.contact is not None:
+            yield "/foot_contact", self._array(state.contact, "contact")
+        if state.battery is not None:
+            yield "/battery", self._battery(state.stamp_ns, *state.battery)
         yield "/power", self._power(sample)
         slot = tick.slot
         yield (
@@ -125,6 +151,9 @@ class Encoder:
                 start_ns=slot.start_ns,
                 done_ns=tick.done_ns,
                 state_stamp_ns=state.stamp_ns,
+                seen_tick=-1 if seen is None else seen.tick,
+                seen_stamp_ns=-1 if seen is None else seen.stamp_ns,
+                picture_tick=-1 if picture is None else picture.tick,
                 late=slot.late,
                 skipped=slot.skipped,
             ),
@@ -196,6 +225,37 @@ class Encoder:
         dim = self._make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=size)
         layout = self._make("std_msgs/msg/MultiArrayLayout", dim=[dim], data_offset=0)
         return self._make("std_msgs/msg/Float32MultiArray", layout=layout, data=values.astype(np.float32))
+
+    def _image(self, stamp_ns: int, image: NDArray[np.float32]) -> Any:
+        """The image as the network reads it, so that a replay feeds the very same numbers."""
+        rows, columns = image.shape
+        return self._make(
+            "sensor_msgs/msg/Image",
+            header=self._header(stamp_ns, CAMERA),
+            height=rows,
+            width=columns,
+            encoding="32FC1",
+            is_bigendian=0,
+            step=4 * columns,
+            data=np.ascontiguousarray(image, dtype="<f4").view(np.uint8).ravel(),
+        )
+
+    def _battery(self, stamp_ns: int, volts: float, amperes: float) -> Any:
+        unknown = dict.fromkeys(("temperature", "charge", "capacity", "design_capacity", "percentage"), np.nan)
+        status = dict.fromkeys(("power_supply_status", "power_supply_health", "power_supply_technology"), 0)
+        return self._make(
+            "sensor_msgs/msg/BatteryState",
+            header=self._header(stamp_ns),
+            voltage=volts,
+            current=amperes,
+            present=True,
+            cell_voltage=np.zeros(0, np.float32),
+            cell_temperature=np.zeros(0, np.float32),
+            location="",
+            serial_number="",
+            **unknown,
+            **status,
+        )
 
     def _power(self, sample: Sample) -> Any:
         state, energy = sample.tick.state, sample.energy

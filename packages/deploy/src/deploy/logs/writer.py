@@ -1,12 +1,14 @@
-"""Write a run as MCAP with ROS 2 messages; no ROS needed to write or to read it."""
+"""Writes MCAP with ROS 2 messages from a thread of its own; no ROS needed to write or to read it."""
 
 from __future__ import annotations
 
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
+from queue import Full, Queue
+from threading import Thread
 from types import TracebackType
 
 from mcap.writer import Writer
@@ -15,29 +17,20 @@ from deploy.bundles.loading import MANIFEST
 from deploy.bundles.manifest import Bundle
 from deploy.errors import LogError
 from deploy.logs.messages import TOPICS, Encoder, Sample
+from deploy.logs.metadata import RunInfo, sealed
+from deploy.logs.provenance import provenance
+from deploy.logs.storage import ReservedFile
 
-FLUSH_TICKS = 25
-"""Ticks between flushes: a killed process loses half a second at 50 Hz."""
+FLUSH_TICKS = 10
+"""Ticks in a chunk: at 50 Hz a killed process loses 0.2 s, and what the queue holds."""
 
+QUEUE_TICKS = {True: 500, False: 5}
+"""Ticks that may wait for the disk: in real time it may stall for 10 s at 50 Hz, a simulation waits for it."""
 
-@dataclass(frozen=True)
-class RunInfo:
-    """What was run; kept in the log as metadata so that a report needs nothing else.
+COPIES = {"run": 2}
+"""Metadata written more than once: without it a damaged log means nothing."""
 
-    Units: `total_mass` in kg, `policy_hz` in Hz, `command` (vx, vy, yaw_rate) in m/s and rad/s, `duration_s`
-    of full control by the policy in s.
-    """
-
-    bundle: str
-    bundle_sha256: str
-    robot: str
-    design: Mapping[str, float]
-    total_mass: float
-    policy_hz: float
-    command: tuple[float, float, float]
-    duration_s: float
-    seed: int
-    version: str
+LIBRARY = "legged-deploy"
 
 
 def partial_path(path: Path) -> Path:
@@ -48,17 +41,24 @@ def partial_path(path: Path) -> Path:
 class LogWriter:
     """A context manager that writes one log.
 
-    The log grows beside its final place and moves there when it is closed, also after an error: a file under
-    the final name is always complete, and an older one stays until then.
+    `write` only queues; a thread encodes, compresses and writes, so that no disk delays the robot. The log
+    grows beside its final place and moves there when it is closed, also after an error: a file under the
+    final name is always complete, and an older one stays until then.
+
+    Attributes:
+        failure: Why the log cannot go on, beginning with `log: `; None while all is well. It comes from the
+            thread: whoever drives the robot looks at it every tick and comes to an end.
+        dropped: Ticks left out because the disk was too slow.
     """
 
-    def __init__(self, path: str | Path, bundle: Bundle, info: RunInfo) -> None:
+    def __init__(self, path: str | Path, bundle: Bundle, info: RunInfo, realtime: bool = False) -> None:
         """Open the log and write what does not change: robot, manifest, metadata.
 
         Args:
             path: Final path, suffix .mcap.
             bundle: What runs.
             info: What is asked for.
+            realtime: Leave out a tick rather than wait for a slow disk.
 
         Raises:
             LogError: The path has another suffix or cannot be written.
@@ -68,64 +68,110 @@ class LogWriter:
             raise LogError(f"{self._path}: a log's name must end in .mcap, other readers go by it")
         self._partial = partial_path(self._path)
         self._encoder = Encoder(bundle)
-        self._channels: dict[str, int] = {}
         self._ticks = 0
+        self._realtime = realtime
+        self._queue: Queue[Sample | tuple[str, dict[str, str]] | None] = Queue(QUEUE_TICKS[realtime])
+        self._broken: Exception | None = None
+        self.failure: str | None = None
+        self.dropped = 0
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream = self._partial.open("wb")
-            self._writer = Writer(self._stream)
-            self._writer.start(profile="ros2", library=f"legged-deploy {info.version}")
-            self._register_topics()
-            self.add_metadata("run", asdict(info))
-            urdf = bundle.path(bundle.robot.urdf).read_bytes()
-            manifest = bundle.path(MANIFEST).read_bytes()
-            self._writer.add_attachment(0, 0, "robot.urdf", "application/xml", urdf)
-            self._writer.add_attachment(0, 0, MANIFEST, "application/json", manifest)
+            self._file = ReservedFile(self._partial)
+            try:
+                self._begin(bundle, info)
+            except BaseException:
+                self._file.close()
+                raise
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise LogError(
+                f"{self._partial}: cannot write the log ({error}); free space or choose another path"
+            ) from error
+        self._whole = self._file.tell()
+        self._thread = Thread(target=self._work, name="log", daemon=True)
+        self._thread.start()
+
+    def _begin(self, bundle: Bundle, info: RunInfo) -> None:
+        self._writer = Writer(self._file, chunk_size=2**30)  # type: ignore[arg-type]
+        self._writer.start(profile="ros2", library=f"{LIBRARY} {info.version}")
+        self._channels = register(self._writer, self._encoder)
+        urdf = bundle.path(bundle.robot.urdf).read_bytes()
+        manifest = bundle.path(MANIFEST).read_bytes()
+        facts = json.loads(manifest)
+        policy = {"file": bundle.policy.file, "sha256": facts["files"][bundle.policy.file], "scales": info.design}
+        self._metadata("run", sealed(asdict(info)))
+        self._metadata("policy", sealed({**policy, "exported_by": facts["generator"]}))
+        self._metadata("provenance", sealed(provenance()))
+        self._writer.add_attachment(0, 0, "robot.urdf", "application/xml", urdf)
+        self._writer.add_attachment(0, 0, MANIFEST, "application/json", manifest)
         self._description = urdf.decode("utf-8")
 
-    def _register_topics(self) -> None:
-        schemas: dict[str, int] = {}
-        for topic, typename in TOPICS.items():
-            if typename not in schemas:
-                text = self._encoder.definition(typename)
-                schemas[typename] = self._writer.register_schema(typename, "ros2msg", text.encode())
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", schemas[typename])
-
-    def _unwritable(self, error: OSError) -> LogError:
-        return LogError(f"{self._partial}: cannot write the log ({error}); free space or choose another path")
+    def _metadata(self, name: str, values: dict[str, str]) -> None:
+        for _ in range(COPIES.get(name, 1)):
+            self._writer.add_metadata(name, values)
 
     def add_metadata(self, name: str, values: Mapping[str, object]) -> None:
         """Add a metadata record; values are kept as JSON text."""
-        self._writer.add_metadata(name, {key: json.dumps(value) for key, value in values.items()})
+        self._queue.put((name, sealed(values)))
 
     def write(self, sample: Sample) -> None:
-        """Add all messages of a tick, stamped with its start.
-
-        Raises:
-            LogError: The disk refuses.
-        """
-        slot = sample.tick.slot
+        """Queue a tick; its messages are stamped with its start. Raises nothing: see `failure`."""
+        if not self._realtime:
+            self._queue.put(sample)
+            return
         try:
-            if self._ticks == 0:
-                self._add("/robot_description", self._encoder.text(self._description), slot.start_ns, slot.index)
-            for topic, message in self._encoder.messages(sample):
-                self._add(topic, message, slot.start_ns, slot.index)
-            self._ticks += 1
-            if self._ticks % FLUSH_TICKS == 0:
-                self._writer.flush()
-        except OSError as error:
-            raise self._unwritable(error) from error
+            self._queue.put_nowait(sample)
+        except Full:
+            self.dropped += 1
 
-    def _add(self, topic: str, message: object, time_ns: int, sequence: int) -> None:
-        self._writer.add_message(
-            self._channels[topic],
-            log_time=time_ns,
-            data=self._encoder.encode(message),
-            publish_time=time_ns,
-            sequence=sequence,
-        )
+    def drain(self) -> None:
+        """Wait until everything queued has been handled."""
+        self._queue.join()
+
+    def _work(self) -> None:
+        """The thread: goes on emptying the queue after a failure, so that nobody waits for it."""
+        while True:
+            item = self._queue.get()
+            try:
+                if self._broken is None:
+                    self._handle(item)
+            except Exception as error:  # whatever goes wrong in here must stop the robot softly
+                self._broken = error
+                self.failure = f"log: cannot go on writing {self._partial} ({error})"
+            finally:
+                self._queue.task_done()
+            if item is None:
+                return
+
+    def _handle(self, item: Sample | tuple[str, dict[str, str]] | None) -> None:
+        match item:
+            case None:
+                if self.dropped:
+                    self._metadata("dropped", sealed({"ticks": self.dropped}))
+                self._writer.finish()
+            case Sample():
+                self._add(item)
+                self._ticks += 1
+                if self._ticks % FLUSH_TICKS == 0:
+                    self._writer.flush()
+                    self._whole = self._file.tell()
+            case (name, values):
+                self._metadata(name, values)
+        if self._file.full and self.failure is None:
+            self.failure = f"log: no space left on the disk of {self._path}; free some before the next run"
+
+    def _add(self, sample: Sample) -> None:
+        slot = sample.tick.slot
+        messages = list(self._encoder.messages(sample))
+        if self._ticks == 0:
+            messages.insert(0, ("/robot_description", self._encoder.text(self._description)))
+        for topic, message in messages:
+            self._writer.add_message(
+                self._channels[topic],
+                log_time=slot.start_ns,
+                data=self._encoder.encode(message),
+                publish_time=slot.start_ns,
+                sequence=slot.index,
+            )
 
     def __enter__(self) -> LogWriter:
         return self
@@ -133,9 +179,38 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Finish the log.
+
+        Raises:
+            LogError: The disk refused; what it took is under the partial name.
+        """
+        self._queue.put(None)
+        self._thread.join()
         try:
-            self._writer.finish()
-            self._stream.close()
-            os.replace(self._partial, self._path)
+            if self._broken is not None:
+                self._file.cut(self._whole)  # half a chunk is worth nothing and takes room
+            self._file.close()
+            if self._broken is None:
+                os.replace(self._partial, self._path)
         except OSError as failure:
-            raise self._unwritable(failure) from (error or failure)
+            self._broken = self._broken or failure
+        if self._broken is not None:
+            raise LogError(
+                f"{self._partial}: the log ends early ({self._broken}); `deploy recover {self._partial}` makes "
+                "what is there readable; free space or choose another path for the next run"
+            ) from (error or self._broken)
+
+
+def register(writer: Writer, encoder: Encoder) -> dict[str, int]:
+    """Register all schemas and channels.
+
+    Returns:
+        The channel of each topic.
+    """
+    schemas: dict[str, int] = {}
+    channels: dict[str, int] = {}
+    for topic, typename in TOPICS.items():
+        if typename not in schemas:
+            schemas[typename] = writer.register_schema(typename, "ros2msg", encoder.definition(typename).encode())
+        channels[topic] = writer.register_channel(topic, "cdr", schemas[typename])
+    return channels

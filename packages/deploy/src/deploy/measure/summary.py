@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.interfaces import Array
+from deploy.logs.metadata import RunInfo
 from deploy.logs.trace import Trace
-from deploy.logs.writer import RunInfo
 from deploy.measure.energy import cost_of_transport, eq10, joules, positive_power
 
 Index = NDArray[np.intp]
