@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 import venv
 from pathlib import Path
 
@@ -20,7 +21,9 @@ def test_alone(package: str, folder: Path) -> bool:
     requirement = f"{ROOT / 'packages' / package}[test]"
     install = (python, "-m", "pip", "install", "--quiet", "--constraint", ROOT / "constraints.txt")
     # torch first: a package index may offer a build with gigabytes of GPU libraries
-    if "torch" in (ROOT / "packages" / package / "pyproject.toml").read_text(encoding="utf-8"):
+    project = tomllib.loads((ROOT / "packages" / package / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    needed = [*project["dependencies"], *project["optional-dependencies"]["test"]]
+    if any(line.startswith("torch") for line in needed):
         subprocess.run((*install, "torch"), check=True)
     subprocess.run((*install, requirement), check=True)
     others = SIBLINGS - {package}

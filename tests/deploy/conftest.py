@@ -273,6 +273,8 @@ def make_scene():
 class FakeClock:
     """Time that passes only when told, or asked to sleep."""
 
+    virtual = True
+
     def __init__(self) -> None:
         self.time = 0
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class RobotSpec:
         feet: Names of the feet, in the order of `RobotState.contact`.
         state_hz: Rate at which new readings come, Hz.
         command_hz: Highest rate of commands, Hz.
+        noiseless: Whether readings may repeat exactly, as those of an ideal simulation do where it stands still. A real
+            sensor that repeats itself has stopped.
     """
 
     name: str
@@ -36,6 +39,7 @@ class RobotSpec:
     feet: tuple[str, ...] | None = None
     state_hz: float | None = None
     command_hz: float | None = None
+    noiseless: bool = False
 
 
 @dataclass(frozen=True)
@@ -104,16 +108,23 @@ class DepthFrame:
         image_m: Depth along the optical axis, shape (height, width), m; 0 or NaN where nothing was measured, inf
             where nothing is in sight.
         intrinsics: Of this image; None for one that has the field of view of the policy's camera.
+        prepared: Whether `image_m` is what the network reads instead, (rows, columns) from -0.5 to 0.5: from a log.
     """
 
     stamp_ns: int
     seq: int
     image_m: NDArray[np.float32]
     intrinsics: Intrinsics | None = None
+    prepared: bool = False
 
 
 class Clock(Protocol):
     """The robot's time: real on hardware, virtual in simulation."""
+
+    @property
+    def virtual(self) -> bool:
+        """Whether time passes only in `sleep_until`, so that waiting for a computation costs none."""
+        ...
 
     def now_ns(self) -> int:
         """Current time, ns."""
@@ -163,6 +174,23 @@ class RobotInterface(Protocol):
 
 
 @dataclass(frozen=True)
+class Seen:
+    """What the depth encoder made of an image.
+
+    Attributes:
+        terrain: Latent of the terrain, shape (S,).
+        heading: Directions to the next waypoints, shape (K,), rad.
+        tick: Policy tick since the start to which the image belongs; -1: no image yet, zeros above.
+        stamp_ns: When the image was taken; -1: no image yet.
+    """
+
+    terrain: Image
+    heading: Image
+    tick: int = -1
+    stamp_ns: int = -1
+
+
+@dataclass(frozen=True)
 class PolicyOutput:
     """`action` (12,) as the network gave it; `velocity` (3,) its estimate, base frame, m/s, or None."""
 
@@ -171,14 +199,27 @@ class PolicyOutput:
 
 
 class PolicyRuntime(Protocol):
-    """Runs the network and keeps its recurrent state."""
+    """Runs the networks of a bundle and keeps their recurrent states."""
 
     def reset(self) -> None:
-        """Put the recurrent state to its initial value."""
+        """Put all recurrent states to their initial values; no `see` is under way."""
         ...
 
-    def step(self, obs: NDArray[np.float32]) -> PolicyOutput:
-        """One tick: observation of shape (P,) in, action out, recurrent state moved on."""
+    def step(self, obs: NDArray[np.float32], seen: Seen | None = None) -> PolicyOutput:
+        """One tick: observation of shape (P,) in, action out, recurrent state moved on.
+
+        A policy that sees is given what is in use at this tick.
+        """
+        ...
+
+    def see(self, image: Image, obs: NDArray[np.float32]) -> tuple[Image, Image]:
+        """One image (rows, columns) as the network reads it, with the observation of its tick.
+
+        Called in a thread of its own, one call at a time, in the order of the images.
+
+        Returns:
+            Terrain latent (S,) and headings (K,), rad.
+        """
         ...
 
 

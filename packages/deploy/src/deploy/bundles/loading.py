@@ -95,8 +95,6 @@ def _verify_files(root: Path, hashes: Mapping[str, str]) -> None:
 
 def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None:
     """What the schema cannot say: parts of the manifest that must agree with each other."""
-    if "depth" in m:
-        raise BundleError(f"{path}: the policy needs a depth camera; this deploy runs blind ones: export one of those")
     count = len(bundle.joints)
     sizes = {
         "base_angular_velocity": 3,
@@ -106,13 +104,16 @@ def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None
         "joint_velocity": count,
         "last_action": count,
         "roll_pitch": 2,
+        "heading_error": 1,
+        "next_heading_error": 1,
         "commanded_speed": 1,
+        "foot_contact": len(bundle.robot.feet),
     }
-    listed = [
-        *(bundle.robot.urdf, bundle.robot.mjcf, bundle.robot.scene, bundle.policy.file, bundle.golden.file),
-        *([bundle.policy.torchscript] if bundle.policy.torchscript else []),
-    ]
+    graphs = [bundle.policy, *([] if bundle.depth is None else [bundle.depth.graph])]
+    listed = [bundle.robot.urdf, bundle.robot.mjcf, bundle.robot.scene, bundle.golden.file]
+    listed += [name for graph in graphs for name in (graph.file, graph.torchscript) if name is not None]
     problems = [f"file {name} is used but not listed under files" for name in listed if name not in m["files"]]
+    problems += _seeing_problems(bundle)
     for what, names in {
         "joint": bundle.joint_names,
         "actuator": tuple(joint.actuator for joint in bundle.joints),
@@ -127,9 +128,7 @@ def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None
         if joint.kp == 0:
             problems.append(f"joint {joint.name}: kp is 0, a position target would do nothing")
     for term in bundle.terms:
-        if term.source not in sizes:
-            problems.append(f"term {term.name}: this deploy cannot give {term.source}")
-        elif term.size != sizes[term.source]:
+        if term.size != sizes[term.source]:
             problems.append(f"term {term.name}: size {term.size}, but {term.source} has {sizes[term.source]}")
         if len(term.scale) != term.size:
             problems.append(f"term {term.name}: {len(term.scale)} scale factors for size {term.size}")
@@ -150,3 +149,30 @@ def _check_consistency(path: Path, bundle: Bundle, m: Mapping[str, Any]) -> None
         problems.append("start.quat_wxyz: not a unit quaternion")
     if problems:
         raise BundleError(f"{path}: {problems[0]}; correct the export and write the bundle again")
+
+
+def _seeing_problems(bundle: Bundle) -> list[str]:
+    """Where the depth encoder does not fit the policy that uses it."""
+    headings = [term.name for term in bundle.terms if term.source in ("heading_error", "next_heading_error")]
+    fed = {name: shape for name, shape in bundle.policy.inputs.items() if name != "obs"}
+    depth = bundle.depth
+    if depth is None:
+        blind = [f"term {name}: no sensor gives headings, and the policy is blind" for name in headings]
+        return [*blind, *(f"policy input {name}: nothing gives it, there is no section depth" for name in fed)]
+    problems = [
+        f"policy input {name} is {list(shape)}, the depth encoder gives {list(depth.graph.outputs.get(name, ()))}"
+        for name, shape in fed.items()
+        if shape != depth.graph.outputs.get(name)
+    ]
+    image = (1, depth.optics.rows, depth.optics.columns)
+    if depth.graph.inputs["depth"] != image:
+        problems.append(f"depth input depth is {list(depth.graph.inputs['depth'])}, the image is {list(image)}")
+    if depth.graph.inputs["obs"] != (1, bundle.observation_size):
+        problems.append(
+            f"depth input obs is {list(depth.graph.inputs['obs'])}, the terms make [1, {bundle.observation_size}]"
+        )
+    if not 0.0 <= depth.optics.near < depth.optics.far:
+        problems.append(f"depth camera: near {depth.optics.near} m is not below far {depth.optics.far} m")
+    names = [name for state in depth.graph.state for name in (state.input, state.output)]
+    problems += [f"depth state {name} is listed twice" for name in set(names) if names.count(name) > 1]
+    return problems

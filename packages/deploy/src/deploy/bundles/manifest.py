@@ -10,6 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from deploy.depth.optics import DepthOptics
+
 Source = Literal[
     "base_angular_velocity",
     "projected_gravity",
@@ -17,6 +19,11 @@ Source = Literal[
     "joint_position_error",
     "joint_velocity",
     "last_action",
+    "roll_pitch",
+    "heading_error",
+    "next_heading_error",
+    "commanded_speed",
+    "foot_contact",
 ]
 
 
@@ -89,14 +96,37 @@ class RecurrentState:
 
 
 @dataclass(frozen=True)
-class PolicyGraph:
-    """The exported network: its files, the shapes of what goes in and out, its recurrent states."""
+class Graph:
+    """An exported network: its files, the shapes of what goes in and out, its recurrent states."""
 
     file: str
     torchscript: str | None
     inputs: Mapping[str, tuple[int, ...]]
     outputs: Mapping[str, tuple[int, ...]]
     state: tuple[RecurrentState, ...]
+
+
+@dataclass(frozen=True)
+class Depth:
+    """The seeing part of a policy: its network, when that is fed and used, and its camera.
+
+    Attributes:
+        graph: The depth encoder.
+        period_ticks: Policy ticks between two images.
+        latency_ticks: Policy ticks from an image to the first tick that uses it.
+        optics: Geometry and scale of the image that the network reads.
+        camera_position: Of the camera in the base frame, m.
+        camera_pitch: Trained range of the mount's pitch, rad; positive looks down.
+        heading_limit: Largest heading that the network predicts, rad.
+    """
+
+    graph: Graph
+    period_ticks: int
+    latency_ticks: int
+    optics: DepthOptics
+    camera_position: tuple[float, float, float]
+    camera_pitch: tuple[float, float]
+    heading_limit: float
 
 
 @dataclass(frozen=True)
@@ -120,6 +150,7 @@ class Bundle:
         physics_dt: Physics step of training, s.
         start_height: World z of the base at the stance, m.
         start_quat_wxyz: Orientation of the base at the stance.
+        depth: Camera and depth encoder of a policy that sees; None: it is blind.
     """
 
     root: Path
@@ -135,8 +166,9 @@ class Bundle:
     start_quat_wxyz: tuple[float, ...]
     command: CommandRange
     terms: tuple[ObservationTerm, ...]
-    policy: PolicyGraph
+    policy: Graph
     golden: Golden
+    depth: Depth | None = None
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -168,7 +200,6 @@ def build_bundle(root: Path, sha256: str, m: Mapping[str, Any]) -> Bundle:
     """Typed view of a manifest that has passed the schema."""
     robot = dict(m["robot"])
     design = robot.pop("design")
-    policy = m["policy"]
     return Bundle(
         root=root,
         sha256=sha256,
@@ -186,14 +217,31 @@ def build_bundle(root: Path, sha256: str, m: Mapping[str, Any]) -> Bundle:
         start_quat_wxyz=tuple(m["start"]["quat_wxyz"]),
         command=CommandRange(**{key: tuple(value) for key, value in m["command"].items()}),
         terms=tuple(_term(term) for term in m["observation"]["terms"]),
-        policy=PolicyGraph(
-            file=policy["file"],
-            torchscript=policy.get("torchscript"),
-            inputs={name: tuple(shape) for name, shape in policy["inputs"].items()},
-            outputs={name: tuple(shape) for name, shape in policy["outputs"].items()},
-            state=tuple(RecurrentState(s["input"], s["output"], tuple(s["shape"])) for s in policy["state"]),
-        ),
+        policy=_graph(m["policy"]),
         golden=Golden(**m["golden"]),
+        depth=_depth(m["depth"]) if "depth" in m else None,
+    )
+
+
+def _graph(section: Mapping[str, Any]) -> Graph:
+    return Graph(
+        file=section["file"],
+        torchscript=section.get("torchscript"),
+        inputs={name: tuple(shape) for name, shape in section["inputs"].items()},
+        outputs={name: tuple(shape) for name, shape in section["outputs"].items()},
+        state=tuple(RecurrentState(s["input"], s["output"], tuple(s["shape"])) for s in section["state"]),
+    )
+
+
+def _depth(section: Mapping[str, Any]) -> Depth:
+    return Depth(
+        graph=_graph(section),
+        period_ticks=section["period_ticks"],
+        latency_ticks=section["latency_ticks"],
+        optics=DepthOptics.from_manifest(section),
+        camera_position=tuple(section["camera"]["position"]),
+        camera_pitch=tuple(section["camera"]["pitch"]),
+        heading_limit=section["heading"]["limit"],
     )
 
 

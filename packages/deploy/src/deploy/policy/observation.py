@@ -31,21 +31,27 @@ class ObservationBuilder:
         self._sources = [term.source for term in bundle.terms]
         self._scale = np.concatenate([np.array(term.scale) for term in bundle.terms])
         self._stance = bundle.per_joint("stance")
+        self._feet = len(bundle.robot.feet)
 
     def build(self, state: RobotState, command: Array, last_action: Array) -> NDArray[np.float32]:
         """The observation, shape (P,).
 
         Args:
-            state: Robot state with its joints in policy order.
+            state: Robot state with its joints and feet in policy order.
             command: (vx, vy, yaw_rate), base frame, m/s and rad/s.
             last_action: Previous action after clipping, shape (12,); zeros at the start.
         """
         gravity = projected_gravity(state.quat_wxyz)
+        contact = np.zeros(self._feet) if state.contact is None else state.contact
+        unknown = np.zeros(1)  # a seeing policy predicts its headings and reads zeros
         values = {
             "base_angular_velocity": state.gyro,
             "projected_gravity": gravity,
             "roll_pitch": np.array([np.arctan2(-gravity[1], -gravity[2]), np.arcsin(np.clip(gravity[0], -1.0, 1.0))]),
+            "heading_error": unknown,
+            "next_heading_error": unknown,
             "commanded_speed": command[:1],
+            "foot_contact": contact - 0.5,
             "command": command,
             "joint_position_error": state.q - self._stance,
             "joint_velocity": state.dq,

@@ -1,23 +1,23 @@
-"""The exported network under onnxruntime: one thread, recurrent state fed back, no torch."""
+"""The exported networks under onnxruntime: one thread each, no torch."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import onnxruntime as ort
-from numpy.typing import NDArray
 
-from deploy.bundles.manifest import Bundle
+from deploy.bundles.manifest import Bundle, Graph
 from deploy.errors import BundleError
-from deploy.interfaces import PolicyOutput
+from deploy.interfaces import Image
+from deploy.policy.networks import NetworkRuntime
 
 
-class OnnxRuntime:
-    """A `PolicyRuntime` on onnxruntime, on one CPU thread so that results repeat bit by bit."""
+class OnnxNetwork:
+    """An ONNX file as a `Network`, on one CPU thread so that results repeat bit by bit."""
 
-    def __init__(self, bundle: Bundle) -> None:
-        """Open the network and compare its signature with the manifest.
+    def __init__(self, bundle: Bundle, graph: Graph) -> None:
+        """Open the file and compare its signature with the manifest.
 
         Raises:
             BundleError: onnxruntime refuses the file, or names or shapes differ from the manifest.
@@ -26,62 +26,53 @@ class OnnxRuntime:
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
         options.log_severity_level = 3
-        path = bundle.path(bundle.policy.file)
+        path = bundle.path(graph.file)
         try:
             self._session = ort.InferenceSession(
                 path.read_bytes(), sess_options=options, providers=["CPUExecutionProvider"]
             )
         except Exception as error:  # onnxruntime has no public base class for its errors
             raise BundleError(f"{path}: onnxruntime cannot open it ({error}); export it again") from error
-        self._states = bundle.policy.state
-        self._outputs = [*bundle.policy.outputs, *(state.output for state in self._states)]
-        inputs = {**bundle.policy.inputs, **{s.input: s.shape for s in self._states}}
-        outputs = {**bundle.policy.outputs, **{s.output: s.shape for s in self._states}}
+        inputs = {**graph.inputs, **{s.input: s.shape for s in graph.state}}
+        outputs = {**graph.outputs, **{s.output: s.shape for s in graph.state}}
+        self._outputs = list(outputs)
         for kind, wanted, found in (
             ("input", inputs, self._session.get_inputs()),
             ("output", outputs, self._session.get_outputs()),
         ):
-            self._compare(f"{path}: {kind}", wanted, found, exact=kind == "input")
-        self.reset()
+            _compare(f"{path}: {kind}", wanted, found, exact=kind == "input")
 
-    @staticmethod
-    def _compare(what: str, wanted: dict[str, tuple[int, ...]], found: Sequence[ort.NodeArg], exact: bool) -> None:
-        nodes = {node.name: node for node in found}
-        odd = wanted.keys() ^ nodes.keys() if exact else wanted.keys() - nodes.keys()
-        if odd:
-            raise BundleError(
-                f"{what}s are {sorted(nodes)}, the manifest says {sorted(wanted)}; export the bundle again"
-            )
-        for name, shape in wanted.items():
-            node = nodes[name]
-            if node.type != "tensor(float)":
-                raise BundleError(f"{what} {name} is {node.type}, not float32; export the bundle again")
-            fits = len(node.shape) == len(shape) and all(
-                not isinstance(have, int) or have == want for have, want in zip(node.shape, shape, strict=True)
-            )
-            if not fits:
-                raise BundleError(
-                    f"{what} {name} has shape {node.shape}, the manifest says {list(shape)}; export the bundle again"
-                )
+    def __call__(self, inputs: Mapping[str, Image]) -> dict[str, Image]:
+        """Run once."""
+        values = self._session.run(self._outputs, dict(inputs))
+        return {name: np.asarray(value) for name, value in zip(self._outputs, values, strict=True)}
 
-    def reset(self) -> None:
-        """Put every recurrent state to zeros."""
-        self._state = {s.input: np.zeros(s.shape, dtype=np.float32) for s in self._states}
 
-    def step(self, obs: NDArray[np.float32]) -> PolicyOutput:
-        """Run one tick.
+class OnnxRuntime(NetworkRuntime):
+    """The default `PolicyRuntime`."""
 
-        Args:
-            obs: Observation, shape (P,).
+    def __init__(self, bundle: Bundle) -> None:
+        """Open the networks of a bundle.
 
-        Returns:
-            The action, shape (12,), and the estimated base velocity, shape (3,), where the network has one.
+        Raises:
+            BundleError: onnxruntime refuses a file, or names or shapes differ from the manifest.
         """
-        values = self._session.run(self._outputs, {"obs": obs[None], **self._state})
-        named = {name: np.asarray(value) for name, value in zip(self._outputs, values, strict=True)}
-        self._state = {s.input: named[s.output] for s in self._states}
-        velocity = named.get("velocity")
-        return PolicyOutput(
-            action=named["action"][0].astype(np.float64),
-            velocity=None if velocity is None else velocity[0].astype(np.float64),
+        super().__init__(bundle, OnnxNetwork)
+
+
+def _compare(what: str, wanted: dict[str, tuple[int, ...]], found: Sequence[ort.NodeArg], exact: bool) -> None:
+    nodes = {node.name: node for node in found}
+    odd = wanted.keys() ^ nodes.keys() if exact else wanted.keys() - nodes.keys()
+    if odd:
+        raise BundleError(f"{what}s are {sorted(nodes)}, the manifest says {sorted(wanted)}; export the bundle again")
+    for name, shape in wanted.items():
+        node = nodes[name]
+        if node.type != "tensor(float)":
+            raise BundleError(f"{what} {name} is {node.type}, not float32; export the bundle again")
+        fits = len(node.shape) == len(shape) and all(
+            not isinstance(have, int) or have == want for have, want in zip(node.shape, shape, strict=True)
         )
+        if not fits:
+            raise BundleError(
+                f"{what} {name} has shape {node.shape}, the manifest says {list(shape)}; export the bundle again"
+            )

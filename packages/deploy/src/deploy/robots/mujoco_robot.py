@@ -175,6 +175,11 @@ class MujocoRobot:
         """The robot is its own virtual clock."""
         return self
 
+    @property
+    def virtual(self) -> bool:
+        """Time passes only in `sleep_until`."""
+        return True
+
     def now_ns(self) -> int:
         """Simulated time since construction, ns."""
         return round(self._steps * self._step_ns)
