@@ -299,6 +299,7 @@ class FakeRobot:
         self.sent = []
         self.damped = 0
         self.stopped = 0
+        self.reads = 0
 
     def start(self) -> None:
         pass
@@ -308,15 +309,16 @@ class FakeRobot:
 
     def read(self) -> RobotState:
         zeros = np.zeros(12)
+        self.reads += 1
         return self.fault(
             RobotState(
                 stamp_ns=self.clock.time,
-                seq=0,
+                seq=self.reads,
                 q=self.q.copy(),
                 dq=zeros,
                 tau=zeros,
                 quat_wxyz=np.array([1.0, 0, 0, 0]),
-                gyro=np.zeros(3),
+                gyro=np.array([0, 0, 1e-6 * self.reads]),  # a living sensor has noise
                 acc=np.array([0, 0, 9.81]),
             )
         )

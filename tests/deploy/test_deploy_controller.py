@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 PERIOD = 20_000_000
 COMMAND = np.array([0.3, 0.0, 0.0])
-QUICK = ControllerConfig(stand_up_s=0.1, hold_s=0.06, ramp_in_s=0.08)
-TICKS_TO = {Mode.STAND_UP: 1, Mode.RAMP_IN: 9, Mode.POLICY: 13}
-"""Ticks until the mode is first reached: 5 up, 3 hold, 4 ramp."""
+QUICK = ControllerConfig(passive_s=0.04, stand_up_s=0.1, hold_s=0.06, ready_timeout_s=0.1, ramp_in_s=0.08)
+TICKS_TO = {Mode.PASSIVE: 1, Mode.STAND_UP: 3, Mode.READY: 8, Mode.RAMP_IN: 11, Mode.POLICY: 15}
+"""Ticks until the mode is first reached: 2 passive, 5 up, 3 hold, 4 ramp."""
 
 
 @pytest.fixture
@@ -40,12 +40,16 @@ def drive(bundle, fake_robot):
 
 
 def test_modes_follow_each_other(drive):
-    modes = [tick.mode for tick in drive(16)]
-    assert modes == [Mode.STAND_UP] * 8 + [Mode.RAMP_IN] * 4 + [Mode.POLICY] * 4
+    assert drive.controller.mode is Mode.IDLE
+    modes = [tick.mode for tick in drive(18)]
+    up = [Mode.PASSIVE] * 2 + [Mode.STAND_UP] * 5 + [Mode.READY] * 3
+    assert modes == up + [Mode.RAMP_IN] * 4 + [Mode.POLICY] * 4
+    assert (drive.robot.damped, len(drive.robot.sent)) == (2, 16)
 
 
 def test_stands_up_from_the_measured_joints(drive, bundle):
     drive.robot.q = drive.robot.q + 0.3
+    drive(2)
     ticks = drive(8)
     measured, offset = bundle.per_joint("stance") + 0.3, bundle.per_joint("target_offset")
     sent = np.array([tick.joint_command.q for tick in ticks])
@@ -57,17 +61,18 @@ def test_stands_up_from_the_torque_that_holds_it(drive, bundle):
     """The first target keeps a loaded robot where it is: kp (target - q) starts at the measured torque."""
     torque = np.linspace(-8, 8, 12)
     drive.robot.fault = lambda state: replace(state, tau=torque)
+    drive(2)
     [tick] = drive(1)
     start, offset = bundle.per_joint("stance") + torque / 80.0, bundle.per_joint("target_offset")
     np.testing.assert_allclose(tick.joint_command.q, start + 0.2 * (offset - start))
 
 
 def test_policy_comes_in_by_and_by(drive, bundle):
-    ticks = drive(14)
+    ticks = drive(16)
     offset = bundle.per_joint("target_offset")
-    for tick, share in zip(ticks[8:], [0.2, 0.4, 0.6, 0.8, 1.0, 1.0], strict=True):
+    for tick, share in zip(ticks[10:], [0.2, 0.4, 0.6, 0.8, 1.0, 1.0], strict=True):
         np.testing.assert_allclose(tick.joint_command.q - offset, share * (tick.step.target - offset))
-    np.testing.assert_array_equal(ticks[8].step.obs[-12:], 0.0)  # starts from a reset
+    np.testing.assert_array_equal(ticks[10].step.obs[-12:], 0.0)  # starts from a reset
 
 
 def changed(**fields):
@@ -109,32 +114,32 @@ FAULTS = {
 @pytest.mark.parametrize("words", FAULTS)
 def test_fault_damps_and_latches(drive, mode, words):
     drive(TICKS_TO[mode] - 1)
-    sent = len(drive.robot.sent)
+    sent, damped = len(drive.robot.sent), drive.robot.damped
     drive.robot.fault = FAULTS[words]
     [tick] = drive(1)
     assert tick.mode is Mode.DAMP
     assert words in tick.reason
     assert tick.joint_command is None
-    assert drive.robot.damped == 1
+    assert drive.robot.damped > damped
     drive.robot.fault = lambda state: state
     again = drive(5)
     assert {(t.mode, t.reason) for t in again} == {(Mode.DAMP, tick.reason)}
     assert len(drive.robot.sent) == sent
-    assert drive.robot.damped == 6
+    assert drive.robot.damped >= damped + 6
 
 
 @pytest.mark.parametrize(
     "fault", [tilted(0.99), spoiled("q", 2, -2.79), changed(quat_wxyz=np.array([1.0005, 0, 0, 0]))]
 )
 def test_what_is_within_limits_passes(drive, fault):
-    drive(12)
+    drive(14)
     drive.robot.fault = fault
     assert {tick.mode for tick in drive(5)} == {Mode.POLICY}
 
 
 def test_frozen_state_is_stale(drive):
     """A driver that repeats its last reading trips within three ticks."""
-    drive(12)
+    drive(14)
     frozen = drive.robot.read()
     drive.robot.fault = lambda _: frozen
     modes = [tick.mode for tick in drive(4)]
@@ -147,31 +152,32 @@ def test_action_that_is_no_number(bundle, fake_robot, value):
         def reset(self):
             pass
 
-        def step(self, obs):
+        def step(self, obs, seen=None):
             return PolicyOutput(action=np.where(np.arange(12) == 4, value, 0.0), velocity=None)
 
     robot = fake_robot()
     controller = Controller(bundle, robot, Broken(), QUICK)
     schedule = Schedule(robot.clock, PERIOD)
-    ticks = [controller.tick(schedule.wait(), COMMAND) for _ in range(9)]
-    assert ticks[-2].mode is Mode.STAND_UP
+    ticks = [controller.tick(schedule.wait(), COMMAND) for _ in range(11)]
+    assert ticks[-2].mode is Mode.READY
     assert ticks[-1].mode is Mode.DAMP
     assert "action: not finite" in ticks[-1].reason
     assert all(np.isfinite(command.q).all() for command in robot.sent)
 
 
 def test_command_that_is_no_number(drive):
-    drive(12)
+    drive(14)
     tick = drive.controller.tick(drive.schedule.wait(), np.array([np.nan, 0, 0]))
     assert tick.mode is Mode.DAMP
     assert "command" in tick.reason
 
 
-@pytest.mark.parametrize("ticks", [0, 1, 9, 13])
-def test_operator_stop_in_every_mode(drive, ticks):
+@pytest.mark.parametrize("ticks", [0, *TICKS_TO.values()])
+def test_stop_from_outside_in_every_mode(drive, ticks):
     drive(ticks)
+    damped, sent = drive.robot.damped, len(drive.robot.sent)
     drive.controller.stop("operator stop")
-    assert drive.robot.damped == 1
+    assert (drive.robot.damped, len(drive.robot.sent)) == (damped + 1, sent)
     assert drive(1)[0].reason == "operator stop"
     drive.controller.stop("something later")
     assert drive.controller.reason == "operator stop"
@@ -182,13 +188,13 @@ def test_targets_stay_within_joint_limits(bundle, fake_robot):
         def reset(self):
             pass
 
-        def step(self, obs):
+        def step(self, obs, seen=None):
             return PolicyOutput(action=np.full(12, 100.0), velocity=None)
 
     robot = fake_robot()
     controller = Controller(bundle, robot, Wild(), QUICK)
     schedule = Schedule(robot.clock, PERIOD)
-    ticks = [controller.tick(schedule.wait(), COMMAND) for _ in range(13)]
+    ticks = [controller.tick(schedule.wait(), COMMAND) for _ in range(15)]
     np.testing.assert_array_equal(robot.sent[-1].q, bundle.per_joint("upper"))
     assert ticks[-1].clamped == 12
     assert ticks[0].clamped == 0
@@ -207,7 +213,7 @@ def test_joints_are_bound_by_name(intact_bundle, fake_robot, order):
         robot.q = robot.q + np.array([offsets[name] for name in robot.spec.joint_names])
         controller = Controller(intact_bundle, robot, runtime, QUICK)
         schedule = Schedule(robot.clock, PERIOD)
-        for _ in range(15):
+        for _ in range(17):
             controller.tick(schedule.wait(), COMMAND)
     for straight, permuted in zip(*(robot.sent for robot in robots), strict=True):
         for field in ("q", "dq", "kp", "kd", "tau"):
@@ -294,7 +300,7 @@ def test_driver_that_raises_leaves_a_damped_robot_and_a_log(bundle_dir, fake_rob
     robot.fault = unplug
     with pytest.raises(ConnectionError):
         run(bundle_dir, (0.3, 0.0, 0.0), 5.0, tmp_path / "torn.mcap", robot, config=QUICK)
-    assert (robot.damped, robot.stopped) == (1, 1)
+    assert (robot.damped > 2, robot.stopped) == (True, 1)
     assert (tmp_path / "torn.mcap").stat().st_size > 10_000
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -13,9 +16,10 @@ from deploy.bundles.loading import load_bundle
 from deploy.bundles.manifest import Bundle
 from deploy.control.binding import JointBinding
 from deploy.control.controller import Controller, ControllerConfig, Mode
+from deploy.control.operator import Interrupts, Operator, Unattended
 from deploy.control.schedule import Schedule
-from deploy.errors import DeployError
-from deploy.interfaces import RobotInterface, Simulated
+from deploy.errors import DeployError, RobotError
+from deploy.interfaces import PolicyRuntime, RobotInterface, Simulated
 from deploy.logs.messages import Sample
 from deploy.logs.metadata import RunInfo
 from deploy.logs.reading import read_log
@@ -23,9 +27,15 @@ from deploy.logs.trace import TraceRecorder
 from deploy.logs.writer import LogWriter
 from deploy.measure.summary import FINISHED, RunSummary, summarise
 from deploy.policy.onnx_runtime import OnnxRuntime
+from deploy.policy.torchscript_runtime import TorchScriptRuntime
+from deploy.robots.specs import ROBOTS, mismatches
 
 FALLEN_SHARE = 0.4
 """A simulated base lower over its feet than this share of its height at the start has fallen."""
+
+RuntimeName: TypeAlias = Literal["onnx", "torchscript"]
+Observer: TypeAlias = Callable[[Sample], None]
+"""Called after every tick."""
 
 
 def run(
@@ -36,6 +46,11 @@ def run(
     robot: RobotInterface | None = None,
     seed: int = 0,
     config: ControllerConfig | None = None,
+    operator: Operator | None = None,
+    dry_run: bool = False,
+    runtime: RuntimeName = "onnx",
+    design: Mapping[str, float] | None = None,
+    on_tick: Observer | None = None,
 ) -> RunSummary:
     """Run a bundle on a robot.
 
@@ -50,6 +65,11 @@ def run(
         robot: The robot; None simulates the bundle's own scene (needs the extra `sim`).
         seed: Seed of the simulated robot's initial joint noise.
         config: Timing and thresholds of the controller.
+        operator: Who lets the robot go on and can stop it; None agrees to everything.
+        dry_run: Compute and log everything, but send only damping.
+        runtime: What runs the networks; "torchscript" needs the extra `torch`.
+        design: Scales that a robot of metal was built with, by parameter; what is missing is 1.
+        on_tick: Called after every tick, for a view of the run; it costs time of the loop.
 
     Returns:
         What it achieved and what it cost.
@@ -66,10 +86,12 @@ def run(
     """
     bundle = load_bundle(bundle_dir)
     _check_request(bundle, command, duration)
-    runtime = OnnxRuntime(bundle)
-    check_golden(bundle, runtime)
+    networks = open_runtime(bundle, runtime)
+    check_golden(bundle, networks)
     robot = robot if robot is not None else _simulate(bundle, seed)
-    controller = Controller(bundle, robot, runtime, config)
+    if robot.spec.name in ROBOTS and (problems := mismatches(bundle, robot.spec, design)):
+        raise RobotError(f"{bundle.name} must not run on {robot.spec.name}: {problems[0]}")
+    config = config or ControllerConfig()
     info = RunInfo(
         bundle=bundle.name,
         bundle_sha256=bundle.sha256,
@@ -83,16 +105,33 @@ def run(
         version=version("legged-deploy"),
     )
     recorder = TraceRecorder()
+    observers = [recorder.add, *([] if on_tick is None else [on_tick])]
     with ExitStack() as stack:
-        writer = None if log is None else stack.enter_context(LogWriter(log, bundle, info))
+        writer = None
+        if log is not None:
+            writer = stack.enter_context(LogWriter(log, bundle, info, realtime=not robot.clock.virtual))
+            writer.add_metadata("controller", {**asdict(config), "dry_run": dry_run, "runtime": runtime})
+        signals = stack.enter_context(Interrupts(operator or Unattended()))
+        controller = Controller(bundle, robot, networks, config, signals, dry_run)
+        stack.callback(controller.close)
         stack.callback(robot.stop)
         stack.callback(robot.damp)
         robot.start()
-        _loop(bundle, robot, controller, info, recorder, writer)
+        _loop(bundle, robot, controller, info, observers, writer)
         summary = summarise(info, recorder.trace())
         if writer is not None:
             writer.add_metadata("result", summary.to_dict())
     return summary
+
+
+def open_runtime(bundle: Bundle, name: RuntimeName = "onnx") -> PolicyRuntime:
+    """The networks of a bundle in the library called `name`.
+
+    Raises:
+        BundleError: The networks cannot be opened, or are not those of the manifest.
+        DeployError: The library is missing.
+    """
+    return OnnxRuntime(bundle) if name == "onnx" else TorchScriptRuntime(bundle)
 
 
 def report(log: str | Path) -> RunSummary:
@@ -133,7 +172,7 @@ def _loop(
     robot: RobotInterface,
     controller: Controller,
     info: RunInfo,
-    recorder: TraceRecorder,
+    observers: list[Observer],
     writer: LogWriter | None,
 ) -> None:
     """Tick until damped; the damped tick is recorded too, it closes the last period."""
@@ -141,7 +180,7 @@ def _loop(
     command = np.array(info.command)
     remaining = round(info.duration_s * info.policy_hz)
     fallen_below = FALLEN_SHARE * simulated.truth().height_over_feet if simulated else 0.0
-    binding = JointBinding(bundle.joint_names, robot.spec.joint_names, robot.spec.name)
+    binding = JointBinding.of(bundle, robot.spec)
     schedule = Schedule(robot.clock, bundle.period_ns)
     end = ""
     while True:
@@ -155,15 +194,16 @@ def _loop(
                 truth=simulated.truth() if simulated else None,
                 energy=binding.energy(simulated.energy()) if simulated else None,
             )
-            recorder.add(sample)
             if writer is not None:
                 writer.write(sample)
-                if writer.failure is not None:
-                    end = writer.failure
+            for observe in observers:
+                observe(sample)
             if tick.mode is Mode.DAMP:
                 return
             remaining -= tick.mode is Mode.POLICY
-            if sample.truth is not None and sample.truth.height_over_feet < fallen_below:
+            if writer is not None and writer.failure is not None:
+                end = writer.failure
+            elif sample.truth is not None and not tick.dry_run and sample.truth.height_over_feet < fallen_below:
                 height = sample.truth.height_over_feet
                 end = f"fell: base {height:.3f} m over its feet, limit {fallen_below:.3f} m"
             elif remaining <= 0:

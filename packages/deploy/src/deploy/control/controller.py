@@ -1,76 +1,26 @@
 """The state machine between policy and robot: one call of `tick` per slot of the schedule.
 
-Idle -> StandUp -> RampIn -> Policy; any of them -> Damp, which latches with its reason.
+Idle -> Passive -> StandUp -> Ready -> RampIn -> Policy; any of them -> Damp, which latches with its reason.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from enum import Enum
+import threading
 
 import numpy as np
 
 from deploy.bundles.manifest import Bundle
 from deploy.control.binding import JointBinding
-from deploy.control.guards import GuardLimits, Guards
+from deploy.control.guards import Guards
+from deploy.control.operator import Operator, Unattended
 from deploy.control.schedule import Slot
+from deploy.control.states import ControllerConfig, Mode, Tick
+from deploy.errors import RobotError
 from deploy.interfaces import Array, JointCommand, PolicyRuntime, RobotInterface, RobotState
 from deploy.policy.tick import Policy, PolicyStep
 
-
-class Mode(Enum):
-    """What drives the joints."""
-
-    IDLE = "idle"
-    STAND_UP = "stand_up"
-    RAMP_IN = "ramp_in"
-    POLICY = "policy"
-    DAMP = "damp"
-
-
-@dataclass(frozen=True)
-class ControllerConfig:
-    """Timing and thresholds.
-
-    Attributes:
-        stand_up_s: Time to go from the measured joint angles and torques to the stance, s.
-        hold_s: Time to stand still there, s.
-        ramp_in_s: Time over which targets go from the stance to those of the policy, s.
-        guards: Thresholds of the guards.
-    """
-
-    stand_up_s: float = 0.6
-    hold_s: float = 0.4
-    ramp_in_s: float = 0.2
-    guards: GuardLimits = field(default_factory=GuardLimits)
-
-
-@dataclass(frozen=True)
-class Tick:
-    """What happened in one slot; joint arrays in policy order.
-
-    Attributes:
-        slot: The slot, with its timing.
-        mode: Mode at the end of the tick, the one whose command was sent.
-        reason: Why the robot is damped, empty otherwise.
-        state: The reading the tick used.
-        command: (vx, vy, yaw_rate) asked for.
-        joint_command: What was sent; None while damped.
-        step: What the policy computed; None when it did not run.
-        clamped: Joint targets that were cut to the joint limits.
-        done_ns: When the tick ended, on the robot's clock.
-    """
-
-    slot: Slot
-    mode: Mode
-    reason: str
-    state: RobotState
-    command: Array
-    joint_command: JointCommand | None
-    step: PolicyStep | None
-    clamped: int
-    done_ns: int
+__all__ = ["Controller", "ControllerConfig", "Mode", "Tick"]
 
 
 class Controller:
@@ -82,27 +32,55 @@ class Controller:
         robot: RobotInterface,
         runtime: PolicyRuntime,
         config: ControllerConfig | None = None,
+        operator: Operator | None = None,
+        dry_run: bool = False,
     ) -> None:
         """Bind the joints of robot and policy by name.
 
+        Args:
+            bundle: A verified bundle.
+            robot: What to run it on.
+            runtime: The bundle's networks.
+            config: Timing and thresholds.
+            operator: Who lets the robot go on and can stop it; None agrees to everything.
+            dry_run: Compute everything, but send only damping; the robot need not stand for the policy to start.
+
         Raises:
-            RobotError: The joints are not the same.
+            RobotError: The joints are not the same, or the policy feels its feet and the robot does not.
         """
         config = config or ControllerConfig()
         self._robot = robot
-        self._binding = JointBinding(bundle.joint_names, robot.spec.joint_names, robot.spec.name)
-        self._policy = Policy(bundle, runtime)
-        self._guards = Guards(bundle, config.guards)
+        self._binding = JointBinding.of(bundle, robot.spec)
+        if robot.spec.feet is None and any(term.source == "foot_contact" for term in bundle.terms):
+            raise RobotError(
+                f"{robot.spec.name}: it does not feel its feet, {bundle.name} reads them; train it without"
+            )
+        self._policy = Policy(bundle, runtime, wait=robot.clock.virtual)
+        self._guards = Guards(bundle, config.guards, noiseless=robot.spec.noiseless)
+        self._operator = operator or Unattended()
+        self._dry_run = dry_run
         self._offset = bundle.per_joint("target_offset")
         self._lower, self._upper = bundle.per_joint("lower"), bundle.per_joint("upper")
         self._kp, self._kd = bundle.per_joint("kp"), bundle.per_joint("kd")
-        self._stand_ticks = math.ceil(config.stand_up_s * bundle.policy_hz)
-        self._hold_ticks = math.ceil(config.hold_s * bundle.policy_hz)
-        self._ramp_ticks = math.ceil(config.ramp_in_s * bundle.policy_hz)
+        passive, stand, hold, timeout, ramp = (
+            math.ceil(seconds * bundle.policy_hz)
+            for seconds in (
+                *(config.passive_s, config.stand_up_s, config.hold_s),
+                *(config.ready_timeout_s, config.ramp_in_s),
+            )
+        )
+        self._ticks = {Mode.PASSIVE: max(passive, 1), Mode.STAND_UP: stand, Mode.READY: hold, Mode.RAMP_IN: ramp}
+        self._timeout = timeout
         self._mode = Mode.IDLE
         self._reason = ""
         self._elapsed = 0
+        self._waiting: int | None = None
         self._from = self._offset
+        self._policy_start_ns = 0
+        joints, axes = np.full(len(self._offset), np.nan), np.full(3, np.nan)
+        self._state = RobotState(0, 0, joints, joints, joints, np.full(4, np.nan), axes, axes)
+        # `stop` may come from another thread, or from a signal in the middle of a tick
+        self._lock = threading.RLock()
 
     @property
     def mode(self) -> Mode:
@@ -115,10 +93,15 @@ class Controller:
         return self._reason
 
     def stop(self, reason: str) -> None:
-        """Damp the robot at once and for good; the first reason stays."""
-        if self._mode is not Mode.DAMP:
-            self._mode, self._reason = Mode.DAMP, reason
-        self._robot.damp()
+        """Damp the robot at once and for good, from any thread; the first reason stays."""
+        with self._lock:
+            if self._mode is not Mode.DAMP:
+                self._mode, self._reason = Mode.DAMP, reason
+            self._robot.damp()
+
+    def close(self) -> None:
+        """End the worker of a policy that sees."""
+        self._policy.close()
 
     def tick(self, slot: Slot, command: Array) -> Tick:
         """Read, judge, compute, judge, write.
@@ -130,55 +113,106 @@ class Controller:
         Returns:
             Everything the tick read, computed and sent.
         """
-        state = self._binding.state(self._robot.read())
-        trip = self._guards.check_state(state, self._robot.clock.now_ns())
+        trip = self._read()
+        state = self._state
+        trip = self._operator.stop() or self._guards.check_slot(slot) or trip
+        trip = trip or self._guards.check_state(state, self._robot.clock.now_ns())
         if trip is None and not np.isfinite(command).all():
             trip = f"command: not finite: {command.tolist()}"
-        step, target = None, self._offset
-        if trip is None:
-            self._advance(state)
-            if self._mode in (Mode.RAMP_IN, Mode.POLICY):
-                step = self._policy.step(state, command)
-                trip = self._guards.check_action(step.action)
-            target = self._target(step)
-        if trip is not None or self._mode is Mode.DAMP:
-            self.stop(trip or self._reason)
-            return self._record(slot, state, command, None, step, 0)
-        within = np.clip(target, self._lower, self._upper)
-        zeros = np.zeros_like(within)
-        sent = JointCommand(within, zeros, self._kp, self._kd, zeros, self._robot.clock.now_ns())
-        self._robot.write(self._binding.command(sent))
-        return self._record(slot, state, command, sent, step, int((within != target).sum()))
+        trip = trip or self._advance(state)
+        step = None
+        if trip is None and self._mode in (Mode.RAMP_IN, Mode.POLICY):
+            step = self._policy.step(state, command, self._robot.read_depth, slot.start_ns)
+            trip = self._guards.check_action(step.action) or self._check_depth(step)
+        if trip is not None:
+            self.stop(trip)
+        sent, clamped = self._send(step)
+        return Tick(
+            slot=slot,
+            mode=self._mode,
+            reason=self._reason,
+            state=state,
+            command=command,
+            joint_command=sent,
+            step=step,
+            clamped=clamped,
+            done_ns=self._robot.clock.now_ns(),
+            dry_run=self._dry_run,
+        )
 
-    def _advance(self, state: RobotState) -> None:
-        """Move the state machine on by one tick."""
+    def _read(self) -> str | None:
+        """Take the latest reading; says why there is none, and keeps the one before."""
+        try:
+            self._state = self._binding.state(self._robot.read())
+        except RobotError as error:
+            return f"robot: {error}"
+        return None
+
+    def _advance(self, state: RobotState) -> str | None:
+        """Move the state machine on by one tick; says why it cannot go on at all."""
+        ready = self._elapsed >= self._ticks.get(self._mode, 0)
         if self._mode is Mode.IDLE:
-            self._mode, self._elapsed = Mode.STAND_UP, 0
+            self._enter(Mode.PASSIVE)
+        elif self._mode is Mode.PASSIVE and ready and self._operator.go():
+            self._enter(Mode.STAND_UP)
             # The target that gives the torque of this instant: a robot that stands does not sag.
             self._from = state.q + state.tau / self._kp
-        elif self._mode is Mode.STAND_UP and self._elapsed >= self._stand_ticks + self._hold_ticks:
-            self._mode, self._elapsed = Mode.RAMP_IN, 0
-            self._policy.reset()
-        if self._mode is Mode.RAMP_IN and self._elapsed >= self._ramp_ticks:
-            self._mode = Mode.POLICY
+        elif self._mode is Mode.STAND_UP and ready:
+            self._enter(Mode.READY)
+        held = self._mode is Mode.READY and self._elapsed >= self._ticks[Mode.READY]
+        if held and self._waiting is None and self._operator.go():
+            self._waiting = 0
+        if held and self._waiting is not None:
+            trip = None if self._dry_run else self._check_start(state)
+            if trip is not None and self._waiting >= self._timeout:
+                return f"start envelope: {trip}"
+            self._waiting += 1
+            if trip is None:
+                self._policy.reset()
+                self._policy_start_ns = self._robot.clock.now_ns()
+                self._enter(Mode.RAMP_IN)
+        if self._mode is Mode.RAMP_IN and self._elapsed >= self._ticks[Mode.RAMP_IN]:
+            self._enter(Mode.POLICY)
         self._elapsed += 1
+        return None
+
+    def _enter(self, mode: Mode) -> None:
+        with self._lock:
+            if self._mode is not Mode.DAMP:
+                self._mode, self._elapsed = mode, 0
+
+    def _check_start(self, state: RobotState) -> str | None:
+        perception = self._policy.perception
+        trip = self._guards.check_start(state)
+        if trip is None and perception is not None:
+            trip = perception.check(self._robot.read_depth(), self._robot.clock.now_ns())
+        return trip
+
+    def _check_depth(self, step: PolicyStep) -> str | None:
+        perception = self._policy.perception
+        fault = None if perception is None else perception.fault
+        return self._guards.check_depth(step.seen, self._policy_start_ns, self._robot.clock.now_ns(), fault)
+
+    def _send(self, step: PolicyStep | None) -> tuple[JointCommand | None, int]:
+        """Send what the mode asks for; returns it and the number of targets that were cut to the joint limits."""
+        target = self._target(step)
+        within = np.clip(target, self._lower, self._upper)
+        zeros = np.zeros_like(within)
+        with self._lock:
+            if self._mode in (Mode.IDLE, Mode.PASSIVE, Mode.DAMP):
+                self._robot.damp()
+                return None, 0
+            sent = JointCommand(within, zeros, self._kp, self._kd, zeros, self._robot.clock.now_ns())
+            if self._dry_run:
+                self._robot.damp()
+            else:
+                self._robot.write(self._binding.command(sent))
+        return sent, int((within != target).sum())
 
     def _target(self, step: PolicyStep | None) -> Array:
         """Joint targets of this tick, before they are cut to the joint limits."""
         if step is None:
-            share = min(self._elapsed / max(self._stand_ticks, 1), 1.0)
+            share = min(self._elapsed / max(self._ticks[Mode.STAND_UP], 1), 1.0) if self._mode is Mode.STAND_UP else 1.0
             return self._from + share * (self._offset - self._from)
-        share = 1.0 if self._mode is Mode.POLICY else self._elapsed / (self._ramp_ticks + 1)
+        share = 1.0 if self._mode is Mode.POLICY else self._elapsed / (self._ticks[Mode.RAMP_IN] + 1)
         return self._offset + share * (step.target - self._offset)
-
-    def _record(
-        self,
-        slot: Slot,
-        state: RobotState,
-        command: Array,
-        sent: JointCommand | None,
-        step: PolicyStep | None,
-        clamped: int,
-    ) -> Tick:
-        done = self._robot.clock.now_ns()
-        return Tick(slot, self._mode, self._reason, state, command, sent, step, clamped, done)

@@ -20,6 +20,10 @@ Camera: TypeAlias = Callable[[], DepthFrame | None]
 """Gives the latest frame, as `RobotInterface.read_depth` does."""
 
 
+MOST_DUE = 3
+"""Images that may be waited for at the same time; a camera later than that has lost them."""
+
+
 @dataclass(frozen=True)
 class Picture:
     """An image that entered the depth encoder.
@@ -38,12 +42,12 @@ class Picture:
 class Perception:
     """The depth encoder beside the control loop.
 
-    At every `period_ticks`th tick an image is due. It is the first frame taken since one tick before, and may come up
-    to `latency_ticks` later: what it shows is used from `latency_ticks` after its tick on, whether camera and network
+    At every `period_ticks`th tick an image is due. It is the first frame taken since one tick before, and may come
+    later: what it shows is used from `latency_ticks` after its tick on, whether camera and network
     were early or late within that time. So training, simulation, replay and robot see the same.
 
     Where that time was not enough, what was seen before stays in use, `overdue` counts, and a guard judges its age.
-    With a virtual clock there is no such case: the loop waits for the network.
+    With a virtual clock the loop waits for the network, which costs no time there.
     """
 
     def __init__(self, runtime: PolicyRuntime, depth: Depth, period_ns: int, wait: bool = True) -> None:
@@ -80,7 +84,8 @@ class Perception:
         self._under_way.clear()
         self._tick = 0
         self._seen = self._nothing
-        self._due: tuple[int, int, NDArray[np.float32]] | None = None
+        self._due: deque[tuple[int, int, NDArray[np.float32]]] = deque()
+        self._last_seq: int | None = None
         self.fault = None
         self._runtime.reset()
 
@@ -106,8 +111,10 @@ class Perception:
             RobotError: The camera's frames are not those that the policy was trained with.
         """
         if self._tick % self._depth.period_ticks == 0:
-            self.missed += self._due is not None
-            self._due = (self._tick, now_ns, obs)
+            self._due.append((self._tick, now_ns, obs))
+            if len(self._due) > MOST_DUE:
+                self._due.popleft()
+                self.missed += 1
         picture = self._take(camera)
         while self._under_way:
             first, future = self._under_way[0]
@@ -118,28 +125,42 @@ class Perception:
             if not ready:
                 break
             if not (self._wait or seen_tick is not None or future.done()):
-                self.overdue += 1
                 break
             terrain, heading = future.result()
             self._seen = Seen(terrain, heading, first.tick, first.stamp_ns)
             self._under_way.popleft()
+        period, past = self._depth.period_ticks, self._tick - self._depth.latency_ticks
+        self.overdue += past >= 0 and self._seen.tick < past - past % period
         self._tick += 1
         return self._seen, picture
 
+    def check(self, frame: DepthFrame | None, now_ns: int) -> str | None:
+        """Why a policy that needs images must not start with this frame, or None if it may."""
+        if frame is None:
+            return "depth: no frame from the camera"
+        ticks = self._depth.period_ticks + self._depth.latency_ticks
+        age, limit = now_ns - frame.stamp_ns, ticks * self._period_ns
+        if not 0 <= age <= limit:
+            return f"depth: the latest frame is {age * 1e-6:.0f} ms old, limit {limit * 1e-6:.0f} ms"
+        return None if self._prepare(frame) is not None else self.fault
+
     def _take(self, camera: Camera) -> Picture | None:
         """Hand the image that is due to the worker, if it is there."""
-        if self._due is None:
+        if not self._due:
             return None
-        tick, due_ns, obs = self._due
         frame = camera()
-        if frame is None or frame.stamp_ns < due_ns - self._period_ns:
+        if frame is None or frame.seq == self._last_seq:
             return None
-        image = self._prepare(frame)
-        if image is None:
+        waiting = [due_ns - self._period_ns <= frame.stamp_ns for _, due_ns, _ in self._due].count(True)
+        if not waiting or (image := self._prepare(frame)) is None:
             return None
+        self._last_seq = frame.seq
+        # times ascend: a frame that is late enough for several ticks belongs to the last of them
+        taken = [self._due.popleft() for _ in range(waiting)]
+        self.missed += waiting - 1
+        tick, _, obs = taken[-1]
         picture = Picture(tick, frame.stamp_ns, image)
         self._under_way.append((picture, self._worker.submit(self._runtime.see, image, obs)))
-        self._due = None
         return picture
 
     def _prepare(self, frame: DepthFrame) -> Image | None:

@@ -71,7 +71,7 @@ class MujocoRobot:
         self._check_body(bundle)
         self._root_qpos, self._root_dof = self._find_root(bundle.robot.base)
         self._damping = damping
-        self._spec = RobotSpec(f"{bundle.robot.name} in MuJoCo", self._joints.names)
+        self._spec = RobotSpec(f"{bundle.robot.name} in MuJoCo", self._joints.names, noiseless=True)
         self._step_ns = self._model.opt.timestep * 1e9
         self._steps = 0
         self._reads = 0
