@@ -4,6 +4,7 @@
 # mujoco ships no type stubs for its compiled modules.
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import mujoco
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from deploy.bundles.manifest import Bundle
 from deploy.errors import RobotError
 from deploy.interfaces import (
+    Array,
     DepthFrame,
     EnergyReading,
     GroundTruth,
@@ -21,10 +23,15 @@ from deploy.interfaces import (
     RobotState,
 )
 from deploy.policy.observation import rotate_inverse
+from deploy.robots.disturbances import Disturbances, StateDisturber, disturbed_image
+from deploy.robots.mujoco_camera import MujocoCamera
 
 SAME_BODY = 1e-3
 """Relative difference of mass or torque limit below which model and manifest mean the same body; MJCF keeps
 about six digits."""
+
+MOST_FRAMES = 64
+"""Frames of the camera that may be under way."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +49,18 @@ class MujocoRobot:
 
     Time passes only in `sleep_until`. The servo law of a `JointCommand` is written into gain and bias of the
     model's position actuators: MuJoCo evaluates it, clamped to the torque limit, at every physics step.
-    The readings are ideal: those of an IMU at the base origin and of exact encoders.
+    The readings are those of an IMU at the base origin and of exact encoders, as `Disturbances` spoil them; a policy
+    that sees gets a depth camera, which takes one frame per policy period.
     """
 
-    def __init__(self, bundle: Bundle, seed: int = 0, joint_noise: float = 0.02, damping: float = 3.0) -> None:
+    def __init__(
+        self,
+        bundle: Bundle,
+        seed: int = 0,
+        joint_noise: float = 0.02,
+        damping: float = 3.0,
+        disturbances: Disturbances | None = None,
+    ) -> None:
         """Load the scene and put the robot into its stance.
 
         Args:
@@ -53,6 +68,7 @@ class MujocoRobot:
             seed: Seed of the initial joint noise.
             joint_noise: Half-width of the uniform initial noise on each joint, rad.
             damping: Gain of `damp`, N m s/rad.
+            disturbances: What goes wrong; None for nothing.
 
         Raises:
             RobotError: The scene does not compile or does not hold the robot that the manifest describes.
@@ -68,16 +84,32 @@ class MujocoRobot:
         self._joints = self._find_joints(bundle)
         self._base = self._find("body", mujoco.mjtObj.mjOBJ_BODY, bundle.robot.base)
         self._feet = [self._find("site", mujoco.mjtObj.mjOBJ_SITE, foot) for foot in bundle.robot.feet]
+        self._foot_geoms = np.array([self._foot_geom(site) for site in self._feet])
+        self._disturbances = disturbances or Disturbances()
+        self._disturb = StateDisturber(self._disturbances)
         self._check_body(bundle)
         self._root_qpos, self._root_dof = self._find_root(bundle.robot.base)
         self._damping = damping
-        self._spec = RobotSpec(f"{bundle.robot.name} in MuJoCo", self._joints.names, noiseless=True)
+        self._spec = RobotSpec(
+            f"{bundle.robot.name} in MuJoCo",
+            self._joints.names,
+            feet=bundle.robot.feet,
+            noiseless=not self._disturbances.noisy,
+        )
         self._step_ns = self._model.opt.timestep * 1e9
         self._steps = 0
-        self._reads = 0
         self._energy_pos = np.zeros(len(self._joints.names))
         self._peak_pos = 0.0
+        self._commands: deque[tuple[int, JointCommand]] = deque()
+        self._period_ns = bundle.period_ns
+        self._camera = None if bundle.depth is None else MujocoCamera(self._model, bundle.depth)
+        self._poses: deque[tuple[int, int, Array]] = deque(maxlen=MOST_FRAMES)
+        self._frames = 0
+        self._frame: DepthFrame | None = None
+        delay = round(self._disturbances.state_delay_s * 1e9 / self._step_ns)
+        self._readings: deque[RobotState] = deque(maxlen=delay + 1 if delay else 0)
         self._start_in_stance(bundle, np.random.default_rng(seed), joint_noise)
+        self._remember()
 
     def _find(self, kind: str, object_type: int, name: str) -> int:
         index = mujoco.mj_name2id(self._model, object_type, name)
@@ -123,6 +155,16 @@ class MujocoRobot:
             raise RobotError(f"{self._path}: body {base!r} has no free joint; export the bundle again")
         return int(self._model.jnt_qposadr[joint]), int(self._model.jnt_dofadr[joint])
 
+    def _foot_geom(self, site: int) -> int:
+        """The geom of a foot: of those of its body that can touch, the one nearest to its site."""
+        model = self._model
+        can_touch = (model.geom_contype | model.geom_conaffinity) > 0
+        geoms = np.flatnonzero((model.geom_bodyid == model.site_bodyid[site]) & can_touch)
+        if not len(geoms):
+            raise RobotError(f"{self._path}: foot {model.site(site).name!r} has no geom that can touch the ground")
+        gaps = np.linalg.norm(model.geom_pos[geoms] - model.site_pos[site], axis=1)
+        return int(geoms[np.argmin(gaps)])
+
     def _check_body(self, bundle: Bundle) -> None:
         model = self._model
         limits = {joint.name: joint.torque_limit for joint in bundle.joints}
@@ -153,7 +195,7 @@ class MujocoRobot:
         qpos[root + 3 : root + 7] = bundle.start_quat_wxyz
         qpos[self._joints.qpos] = [start[joint.name] for joint in ordered]
         zeros = np.zeros(len(ordered))
-        self.write(
+        self._apply(
             JointCommand(
                 q=np.array([joint.target_offset for joint in ordered]),
                 dq=zeros,
@@ -188,6 +230,8 @@ class MujocoRobot:
         """Simulate to the physics step nearest to `time_ns`."""
         steps = round(time_ns / self._step_ns) - self._steps
         for _ in range(steps):
+            while self._commands and self._commands[0][0] <= self.now_ns():
+                self._apply(self._commands.popleft()[1])
             velocity = self._data.qvel[self._joints.dof].copy()
             mujoco.mj_step(self._model, self._data)
             # mj_step leaves the forces that acted at its start: they pair with the velocity from before it.
@@ -195,8 +239,20 @@ class MujocoRobot:
             self._energy_pos += power * self._model.opt.timestep
             self._peak_pos = max(self._peak_pos, float(power.sum()))
             self._steps += 1
+            self._remember()
         if steps > 0:
             mujoco.mj_forward(self._model, self._data)  # forces and accelerations of this very instant
+
+    def _remember(self) -> None:
+        """Keep what will be read later: readings under way, and where the camera is when it takes a frame."""
+        if self._readings.maxlen:
+            mujoco.mj_forward(self._model, self._data)
+            self._readings.append(self._reading())
+        if self._camera is not None and self.now_ns() >= self._frames * self._period_ns:
+            root = self._root_qpos
+            pose = self._data.qpos[root : root + 7].copy()
+            self._poses.append((self._frames, self.now_ns(), pose))
+            self._frames += 1
 
     def start(self) -> None:
         """Nothing to take over: the servos hold the stance already."""
@@ -205,27 +261,45 @@ class MujocoRobot:
         """Nothing to give back."""
 
     def read(self) -> RobotState:
-        """Exact state at this instant, joints in the order of `spec`."""
+        """State at this instant, or before if readings are delayed; joints in the order of `spec`."""
+        return self._disturb(self._readings[0] if self._readings else self._reading())
+
+    def _reading(self) -> RobotState:
         data, root, dof = self._data, self._root_qpos, self._root_dof
         quat = data.qpos[root + 3 : root + 7].copy()
-        self._reads += 1
         return RobotState(
             stamp_ns=self.now_ns(),
-            seq=self._reads,
+            seq=self._steps,
             q=data.qpos[self._joints.qpos],
             dq=data.qvel[self._joints.dof],
             tau=data.qfrc_actuator[self._joints.dof],
             quat_wxyz=quat,
             gyro=data.qvel[dof + 3 : dof + 6].copy(),
             acc=rotate_inverse(quat, data.qacc[dof : dof + 3] - self._model.opt.gravity),
+            contact=np.isin(self._foot_geoms, data.contact.geom),
         )
 
     def read_depth(self) -> DepthFrame | None:
-        """None: this robot carries no camera."""
-        return None
+        """The latest frame that has arrived; None before the first one, and of a robot whose policy is blind."""
+        newest = self.now_ns() - round(self._disturbances.depth_delay_s * 1e9)
+        while self._camera is not None and self._poses and self._poses[0][1] <= newest:
+            seq, stamp, pose = self._poses.popleft()
+            if self._poses and self._poses[0][1] <= newest:
+                continue  # nobody asked for it in time
+            image = disturbed_image(self._disturbances, self._camera.render(self._data, pose[:3], pose[3:]), seq, stamp)
+            if image is not None:
+                self._frame = DepthFrame(stamp, seq, image)
+        return self._frame
 
     def write(self, command: JointCommand) -> None:
         """Set the servo law; it acts at every physics step until the next command."""
+        delay = round(self._disturbances.action_delay_s * 1e9)
+        if delay:
+            self._commands.append((self.now_ns() + delay, command))
+        else:
+            self._apply(command)
+
+    def _apply(self, command: JointCommand) -> None:
         model, index = self._model, self._joints.actuator
         model.actuator_gainprm[index, 0] = command.kp
         model.actuator_biasprm[index, 0] = command.kd * command.dq + command.tau
