@@ -5,13 +5,18 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
-from deploy.interfaces import RobotSpec, RobotState
 from onnx import TensorProto, helper, numpy_helper
+
+sys.path.insert(0, str(Path(__file__).parent))  # importlib mode does not
+
+from deploy.interfaces import DepthFrame, RobotSpec, RobotState
+from deploy_seeing import COLUMNS, HEADINGS, PERIOD, ROWS, TERRAIN, Eye, depth_onnx, depth_section, seeing_policy
 
 LEGS = ("FL", "FR", "RL", "RR")
 PARTS = ("hip", "thigh", "calf")
@@ -113,7 +118,7 @@ def trot_onnx() -> bytes:
     return model.SerializeToString()
 
 
-def reference_golden(ticks: int = 24) -> dict[str, np.ndarray]:
+def reference_golden(ticks: int = 24, sees: bool = False) -> dict[str, np.ndarray]:
     """The trace in float64 from the definitions alone: no code of the package, no onnxruntime."""
     rng = np.random.default_rng(1)
     model = onnx.load_from_string(trot_onnx())
@@ -133,9 +138,16 @@ def reference_golden(ticks: int = 24) -> dict[str, np.ndarray]:
         "action": np.zeros((ticks, 12)),
         "target": np.zeros((ticks, 12)),
     }
+    eye = Eye(SIZE)
+    since = np.arange(ticks) % (ticks // 2)
+    if sees:
+        trace["depth_due"] = since % PERIOD == 0
+        trace["depth"] = rng.uniform(-0.5, 0.5, (int(trace["depth_due"].sum()), ROWS, COLUMNS)).astype(np.float32)
+        trace["terrain"], trace["heading"] = np.zeros((ticks, TERRAIN)), np.zeros((ticks, HEADINGS))
     for t in range(ticks):
         if trace["reset"][t]:
             phase, smooth, last = 0.0, np.zeros(SIZE), np.zeros(12)
+            eye.reset()
         w, x, y, z = quat[t]
         down = -np.array([2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z])
         obs = np.concatenate(
@@ -150,6 +162,10 @@ def reference_golden(ticks: int = 24) -> dict[str, np.ndarray]:
         )
         smooth = 0.9 * smooth + obs
         last = const["amplitude"][0] * np.sin(phase + const["offset"][0]) + smooth @ const["w"]
+        if sees:
+            image = trace["depth"][trace["depth_due"][:t].sum()] if trace["depth_due"][t] else None
+            trace["terrain"][t], trace["heading"][t] = seen = eye.step(obs, image)
+            last = last + eye.action(seen)
         phase += const["step"][0, 0]
         trace["obs"][t], trace["action"][t], trace["target"][t] = obs, last, offset + 0.25 * last
     return trace
@@ -220,7 +236,7 @@ def make_manifest() -> dict:
 class BundleFolder:
     """A bundle on disk that a test can spoil; `seal` writes the manifest with fresh hashes."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, sees: bool = False) -> None:
         self.root = root
         self.manifest = make_manifest()
         self.files = {
@@ -228,8 +244,14 @@ class BundleFolder:
             "robot.urdf": b'<robot name="box"/>',
             "robot.xml": scene_xml().encode(),
             "scene.xml": scene_xml().encode(),
-            "golden.npz": npz_bytes(reference_golden()),
+            "golden.npz": npz_bytes(reference_golden(sees=sees)),
         }
+        if sees:
+            self.manifest["depth"] = depth_section(SIZE)
+            self.manifest["rates"]["depth_hz"] = 50 / PERIOD
+            self.manifest["policy"]["inputs"] |= {"terrain": [1, TERRAIN], "heading": [1, HEADINGS]}
+            self.files["depth_encoder.onnx"] = depth_onnx(SIZE)
+            self.files["policy.onnx"] = seeing_policy(trot_onnx(), SIZE)
 
     def seal(self) -> Path:
         self.root.mkdir(exist_ok=True)
@@ -250,6 +272,18 @@ def folder(tmp_path):
 def bundle_dir(tmp_path_factory):
     """An intact bundle on disk, not to be changed."""
     return BundleFolder(tmp_path_factory.mktemp("intact") / "bundle").seal()
+
+
+@pytest.fixture
+def seeing_folder(tmp_path):
+    """A bundle folder of a policy that sees, not yet written."""
+    return BundleFolder(tmp_path / "seeing", sees=True)
+
+
+@pytest.fixture(scope="session")
+def seeing_dir(tmp_path_factory):
+    """An intact bundle of a policy that sees, not to be changed."""
+    return BundleFolder(tmp_path_factory.mktemp("intact") / "seeing", sees=True).seal()
 
 
 @pytest.fixture
@@ -288,7 +322,8 @@ class FakeClock:
 class FakeRobot:
     """Stands still in the stance, in an order of joints of its own; a test spoils its readings.
 
-    `fault(state) -> state` alters what `read` returns; `sent` and `damped` record what came.
+    `fault(state) -> state` alters what `read` returns, `eye(time_ns) -> frame` is its camera; `sent` and `damped`
+    record what came.
     """
 
     def __init__(self, names: tuple[str, ...] = JOINTS) -> None:
@@ -296,6 +331,7 @@ class FakeRobot:
         self.clock = FakeClock()
         self.q = np.array([STANCE[name.split("_")[1]] for name in names])
         self.fault = lambda state: state
+        self.eye = lambda time_ns: None
         self.sent = []
         self.damped = 0
         self.stopped = 0
@@ -323,8 +359,8 @@ class FakeRobot:
             )
         )
 
-    def read_depth(self) -> None:
-        return None
+    def read_depth(self) -> DepthFrame | None:
+        return self.eye(self.clock.time)
 
     def write(self, command) -> None:
         self.sent.append(command)

@@ -42,7 +42,7 @@ class Picture:
 class Perception:
     """The depth encoder beside the control loop.
 
-    At every `period_ticks`th tick an image is due. It is the first frame taken since one tick before, and may come
+    At every `period_ticks`th tick an image is due. It is the first frame taken since half a tick before, and may come
     later: what it shows is used from `latency_ticks` after its tick on, whether camera and network
     were early or late within that time. So training, simulation, replay and robot see the same.
 
@@ -151,7 +151,7 @@ class Perception:
         frame = camera()
         if frame is None or frame.seq == self._last_seq:
             return None
-        waiting = [due_ns - self._period_ns <= frame.stamp_ns for _, due_ns, _ in self._due].count(True)
+        waiting = [due_ns - self._period_ns // 2 <= frame.stamp_ns for _, due_ns, _ in self._due].count(True)
         if not waiting or (image := self._prepare(frame)) is None:
             return None
         self._last_seq = frame.seq
