@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 PERIOD = 20_000_000
 COMMAND = np.array([0.3, 0.0, 0.0])
-QUICK = ControllerConfig(passive_s=0.04, stand_up_s=0.1, hold_s=0.06, ready_timeout_s=0.1, ramp_in_s=0.08)
+QUICK = ControllerConfig(
+    passive_s=0.04, stand_up_s=0.1, hold_s=0.06, ready_timeout_s=0.1, ramp_in_s=0.08, stand_stiffness=1.0
+)
 TICKS_TO = {Mode.PASSIVE: 1, Mode.STAND_UP: 3, Mode.READY: 8, Mode.RAMP_IN: 11, Mode.POLICY: 15}
 """Ticks until the mode is first reached: 2 passive, 5 up, 3 hold, 4 ramp."""
 
@@ -73,6 +75,22 @@ def test_policy_comes_in_by_and_by(drive, bundle):
     for tick, share in zip(ticks[10:], [0.2, 0.4, 0.6, 0.8, 1.0, 1.0], strict=True):
         np.testing.assert_allclose(tick.joint_command.q - offset, share * (tick.step.target - offset))
     np.testing.assert_array_equal(ticks[10].step.obs[-12:], 0.0)  # starts from a reset
+
+
+def test_stands_stiffer_than_the_policy_walks(bundle, fake_robot):
+    """Twice the stiffness, half the distance between stance and target: the same torque against gravity."""
+    robot = fake_robot()
+    controller = Controller(bundle, robot, OnnxRuntime(bundle), replace(QUICK, stand_stiffness=4.0))
+    schedule = Schedule(robot.clock, PERIOD)
+    ticks = [controller.tick(schedule.wait(), COMMAND) for _ in range(16)]
+    stance, offset = bundle.per_joint("stance"), bundle.per_joint("target_offset")
+    ready, ramp, walks = (ticks[index] for index in (9, 11, 15))
+    np.testing.assert_allclose(ready.joint_command.kp, 4 * 80.0)
+    np.testing.assert_allclose(ready.joint_command.kd, 2 * 2.0)
+    np.testing.assert_allclose(320.0 * (ready.joint_command.q - stance), 80.0 * (offset - stance))
+    np.testing.assert_allclose(ramp.joint_command.kp, 320.0 - 0.4 * 240.0)
+    np.testing.assert_allclose(walks.joint_command.kp, 80.0)
+    np.testing.assert_allclose(walks.joint_command.q, walks.step.target)
 
 
 def changed(**fields):

@@ -201,9 +201,10 @@ def _loop(
             if tick.mode is Mode.DAMP:
                 return
             remaining -= tick.mode is Mode.POLICY
+            stands = not tick.dry_run and tick.mode in (Mode.READY, Mode.RAMP_IN, Mode.POLICY)
             if writer is not None and writer.failure is not None:
                 end = writer.failure
-            elif sample.truth is not None and not tick.dry_run and sample.truth.height_over_feet < fallen_below:
+            elif sample.truth is not None and stands and sample.truth.height_over_feet < fallen_below:
                 height = sample.truth.height_over_feet
                 end = f"fell: base {height:.3f} m over its feet, limit {fallen_below:.3f} m"
             elif remaining <= 0:

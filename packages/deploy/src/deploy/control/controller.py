@@ -62,6 +62,10 @@ class Controller:
         self._offset = bundle.per_joint("target_offset")
         self._lower, self._upper = bundle.per_joint("lower"), bundle.per_joint("upper")
         self._kp, self._kd = bundle.per_joint("kp"), bundle.per_joint("kd")
+        self._stand_kp, self._stand_kd = config.stand_stiffness * self._kp, np.sqrt(config.stand_stiffness) * self._kd
+        # the same torque against gravity from a stiffer servo
+        stance = bundle.per_joint("stance")
+        self._stand = stance + (self._offset - stance) / config.stand_stiffness
         passive, stand, hold, timeout, ramp = (
             math.ceil(seconds * bundle.policy_hz)
             for seconds in (
@@ -69,13 +73,13 @@ class Controller:
                 *(config.ready_timeout_s, config.ramp_in_s),
             )
         )
-        self._ticks = {Mode.PASSIVE: max(passive, 1), Mode.STAND_UP: stand, Mode.READY: hold, Mode.RAMP_IN: ramp}
+        self._ticks = {Mode.PASSIVE: passive, Mode.STAND_UP: stand, Mode.READY: hold, Mode.RAMP_IN: ramp}
         self._timeout = timeout
         self._mode = Mode.IDLE
         self._reason = ""
         self._elapsed = 0
         self._waiting: int | None = None
-        self._from = self._offset
+        self._from = self._stand
         self._policy_start_ns = 0
         joints, axes = np.full(len(self._offset), np.nan), np.full(3, np.nan)
         self._state = RobotState(0, 0, joints, joints, joints, np.full(4, np.nan), axes, axes)
@@ -153,10 +157,11 @@ class Controller:
         ready = self._elapsed >= self._ticks.get(self._mode, 0)
         if self._mode is Mode.IDLE:
             self._enter(Mode.PASSIVE)
-        elif self._mode is Mode.PASSIVE and ready and self._operator.go():
+            ready = self._ticks[Mode.PASSIVE] == 0
+        if self._mode is Mode.PASSIVE and ready and self._operator.go():
             self._enter(Mode.STAND_UP)
             # The target that gives the torque of this instant: a robot that stands does not sag.
-            self._from = state.q + state.tau / self._kp
+            self._from = state.q + state.tau / self._stand_kp
         elif self._mode is Mode.STAND_UP and ready:
             self._enter(Mode.READY)
         held = self._mode is Mode.READY and self._elapsed >= self._ticks[Mode.READY]
@@ -195,24 +200,32 @@ class Controller:
 
     def _send(self, step: PolicyStep | None) -> tuple[JointCommand | None, int]:
         """Send what the mode asks for; returns it and the number of targets that were cut to the joint limits."""
-        target = self._target(step)
+        share = self._share()
+        target = self._target(step, share)
         within = np.clip(target, self._lower, self._upper)
         zeros = np.zeros_like(within)
         with self._lock:
             if self._mode in (Mode.IDLE, Mode.PASSIVE, Mode.DAMP):
                 self._robot.damp()
                 return None, 0
-            sent = JointCommand(within, zeros, self._kp, self._kd, zeros, self._robot.clock.now_ns())
+            policy = share if step is not None else 0.0
+            kp = self._stand_kp + policy * (self._kp - self._stand_kp)
+            kd = self._stand_kd + policy * (self._kd - self._stand_kd)
+            sent = JointCommand(within, zeros, kp, kd, zeros, self._robot.clock.now_ns())
             if self._dry_run:
                 self._robot.damp()
             else:
                 self._robot.write(self._binding.command(sent))
         return sent, int((within != target).sum())
 
-    def _target(self, step: PolicyStep | None) -> Array:
+    def _share(self) -> float:
+        """How far the mode has come, from 0 to 1."""
+        if self._mode is Mode.STAND_UP:
+            return min(self._elapsed / max(self._ticks[Mode.STAND_UP], 1), 1.0)
+        return self._elapsed / (self._ticks[Mode.RAMP_IN] + 1) if self._mode is Mode.RAMP_IN else 1.0
+
+    def _target(self, step: PolicyStep | None, share: float) -> Array:
         """Joint targets of this tick, before they are cut to the joint limits."""
         if step is None:
-            share = min(self._elapsed / max(self._ticks[Mode.STAND_UP], 1), 1.0) if self._mode is Mode.STAND_UP else 1.0
-            return self._from + share * (self._offset - self._from)
-        share = 1.0 if self._mode is Mode.POLICY else self._elapsed / (self._ticks[Mode.RAMP_IN] + 1)
-        return self._offset + share * (step.target - self._offset)
+            return self._from + share * (self._stand - self._from)
+        return self._stand + share * (step.target - self._stand)

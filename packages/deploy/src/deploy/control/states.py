@@ -39,7 +39,9 @@ class ControllerConfig:
         stand_up_s: Time to go from the measured joint angles and torques to the stance, s.
         hold_s: Least time to stand still there, s.
         ready_timeout_s: Time after that in which the start envelope must be met, s.
-        ramp_in_s: Time over which targets go from the stance to those of the policy, s.
+        ramp_in_s: Time over which targets and gains go from those of the stance to those of the policy, s.
+        stand_stiffness: Stiffness of the joints while the robot stands up and stands, as a multiple of the policy's;
+            the damping grows with its root. Policies are trained with joints too soft to stand on by themselves.
         guards: Thresholds of the guards.
     """
 
@@ -48,6 +50,7 @@ class ControllerConfig:
     hold_s: float = 0.4
     ready_timeout_s: float = 2.0
     ramp_in_s: float = 0.2
+    stand_stiffness: float = 2.0
     guards: GuardLimits = field(default_factory=GuardLimits)
 
 
