@@ -61,7 +61,7 @@ def test_mcap_itself_accepts_the_file(walk):
     assert header.profile == "ros2"
     assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
     assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
-    assert set(attachments) == {"robot.urdf", "manifest.json"}
+    assert set(attachments) == {"robot.urdf", "manifest.json", "scene.xml"}
 
 
 def test_attachments_and_metadata(walk, bundle_dir):

@@ -16,6 +16,8 @@ from rich.table import Column, Table
 from deploy.bundles.golden import check_golden
 from deploy.bundles.loading import load_bundle
 from deploy.errors import DeployError
+from deploy.logs.commands import Export, Page, Recover
+from deploy.measure.commands import Energy
 from deploy.measure.summary import RunSummary
 from deploy.policy.onnx_runtime import OnnxRuntime
 from deploy.session import report, run
@@ -73,6 +75,10 @@ Command = (
     Annotated[Check, tyro.conf.subcommand("check")]
     | Annotated[Run, tyro.conf.subcommand("run")]
     | Annotated[Report, tyro.conf.subcommand("report")]
+    | Annotated[Energy, tyro.conf.subcommand("energy")]
+    | Annotated[Page, tyro.conf.subcommand("page")]
+    | Annotated[Recover, tyro.conf.subcommand("recover")]
+    | Annotated[Export, tyro.conf.subcommand("export")]
 )
 
 
@@ -91,6 +97,8 @@ def main(args: list[str] | None = None) -> None:
                 sys.exit(0 if summary.completed else 2)
             case Report():
                 _print(report(command.log), command.as_json)
+            case Energy() | Page() | Recover() | Export():
+                command.execute()
     except DeployError as error:
         Console(stderr=True, soft_wrap=True).print(f"[bold red]error[/] {escape(str(error))}", highlight=False)
         sys.exit(1)

@@ -89,15 +89,16 @@ class Sample:
 
 
 class Encoder:
-    """Makes messages and their CDR bytes; joints are named in policy order."""
+    """Message types and their CDR bytes."""
 
-    def __init__(self, bundle: Bundle) -> None:
+    def __init__(self) -> None:
         self._store = get_typestore(Stores.ROS2_HUMBLE)
         for name, text in DEFINITIONS.items():
             self._store.register(get_types_from_msg(text, name))
-        self._names = list(bundle.joint_names)
-        self._torque_limit = bundle.per_joint("torque_limit")
-        self._obs_label = " ".join(f"{term.name}[{term.size}]" for term in bundle.terms)
+
+    def make(self, typename: str, **fields: Any) -> Any:
+        """A message of a type, from its fields."""
+        return self._store.types[typename](**fields)
 
     def definition(self, typename: str) -> str:
         """The message definition in full, as a ros2msg schema."""
@@ -107,6 +108,16 @@ class Encoder:
         """CDR bytes of a message."""
         return bytes(self._store.serialize_cdr(message, message.__msgtype__))
 
+
+class Composer:
+    """Makes the messages of a tick; joints are named in policy order."""
+
+    def __init__(self, bundle: Bundle, encoder: Encoder) -> None:
+        self._make = encoder.make
+        self._names = list(bundle.joint_names)
+        self._torque_limit = bundle.per_joint("torque_limit")
+        self._obs_label = " ".join(f"{term.name}[{term.size}]" for term in bundle.terms)
+
     def text(self, data: str) -> Any:
         """A std_msgs/String."""
         return self._make("std_msgs/msg/String", data=data)
@@ -115,8 +126,7 @@ class Encoder:
         """Topic and message of everything that is known about one tick."""
         tick = sample.tick
         state, sent, step = tick.state, tick.joint_command, tick.step
-        seen = getattr(step, "seen", None)
-        picture = getattr(step, "picture", None)
+        seen, picture = (None, None) if step is None else (step.seen, step.picture)
         stamp = tick.slot.start_ns
         yield "/joint_states", self._joints(state.stamp_ns, state.q, state.dq, state.tau)
         if sent is not None:
@@ -170,9 +180,6 @@ class Encoder:
         )
         if sample.truth is not None:
             yield "/ground_truth", self._odometry(state.stamp_ns, sample.truth)
-
-    def _make(self, typename: str, **fields: Any) -> Any:
-        return self._store.types[typename](**fields)
 
     def _header(self, stamp_ns: int, frame: str = BASE) -> Any:
         sec, nanosec = divmod(stamp_ns, 1_000_000_000)

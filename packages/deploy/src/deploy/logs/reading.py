@@ -37,6 +37,9 @@ class Log:
         info: What was run.
         trace: Its ticks.
         metadata: All metadata records by name, values decoded.
+        joint_names: In the order of the trace's arrays.
+        urdf: Description of the robot; empty if a damaged file lost it.
+        scene: MJCF of the bundle's scene; empty where the log has none.
         manifest: Manifest of the bundle; None if a damaged file lost it.
         depth_time: Ticks on which an image entered the network, shape (K,), s.
         depth: Those images, shape (K, rows, columns), as the network read them.
@@ -46,6 +49,9 @@ class Log:
     info: RunInfo
     trace: Trace
     metadata: Mapping[str, Mapping[str, Any]]
+    joint_names: tuple[str, ...]
+    urdf: str
+    scene: str
     manifest: Mapping[str, Any] | None
     depth_time: Array
     depth: NDArray[np.float32]
@@ -97,19 +103,23 @@ def read_log(path: str | Path) -> Log:
         raise LogError(
             f"{path}: metadata 'run' has other fields ({error}); read it with the version that wrote it"
         ) from error
-    manifests = [record.data for record in extras if isinstance(record, Attachment) and record.name == MANIFEST]
-    if any(hashlib.sha256(manifest).hexdigest() != info.bundle_sha256 for manifest in manifests):
+    attached = {record.name: record.data for record in extras if isinstance(record, Attachment)}
+    if MANIFEST in attached and hashlib.sha256(attached[MANIFEST]).hexdigest() != info.bundle_sha256:
         raise LogError(
             f"{path}: torn or altered log ({MANIFEST} is not the one that ran); "
             f"`deploy recover {path}` keeps what is intact"
         )
+    names = next((tuple(message.name) for _, topic, message in messages if topic == "/joint_states"), ())
     depth = [(time * 1e-9, _pixels(message)) for time, topic, message in messages if topic == "/depth/image"]
     return Log(
         path=path,
         info=info,
         trace=_trace(path, messages),
         metadata=intact,
-        manifest=json.loads(manifests[0]) if manifests else None,
+        joint_names=names,
+        urdf=attached.get("robot.urdf", b"").decode("utf-8"),
+        scene=attached.get("scene.xml", b"").decode("utf-8"),
+        manifest=json.loads(attached[MANIFEST]) if MANIFEST in attached else None,
         depth_time=np.array([time for time, _ in depth]),
         depth=np.array([image for _, image in depth], dtype=np.float32),
     )

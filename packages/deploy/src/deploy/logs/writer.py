@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 from queue import Full, Queue
 from threading import Thread
@@ -16,7 +17,7 @@ from mcap.writer import Writer
 from deploy.bundles.loading import MANIFEST
 from deploy.bundles.manifest import Bundle
 from deploy.errors import LogError
-from deploy.logs.messages import TOPICS, Encoder, Sample
+from deploy.logs.messages import TOPICS, Composer, Encoder, Sample
 from deploy.logs.metadata import RunInfo, sealed
 from deploy.logs.provenance import provenance
 from deploy.logs.storage import ReservedFile
@@ -30,12 +31,28 @@ QUEUE_TICKS = {True: 500, False: 5}
 COPIES = {"run": 2}
 """Metadata written more than once: without it a damaged log means nothing."""
 
-LIBRARY = "legged-deploy"
+MAX_SCENE = 2**20
+"""Largest scene that goes into every log, bytes; it lets the run be drawn again."""
+
+CLOSED = "closed"
+"""Metadata at the end of a log that was closed: its number of ticks, and how many it had to leave out."""
+
+
+def library(release: str) -> str:
+    """What a log says of its writer."""
+    return f"legged-deploy {release}"
 
 
 def partial_path(path: Path) -> Path:
     """Where a log grows until it is complete."""
     return path.with_name(f"{path.stem}.partial{path.suffix}")
+
+
+def _set_aside(partial: Path) -> None:
+    """Keep what a killed run left: it may be the only witness."""
+    if partial.is_file():
+        taken = (partial.with_name(f"{partial.stem}-{number}.mcap") for number in count(1))
+        partial.rename(next(path for path in taken if not path.exists()))
 
 
 class LogWriter:
@@ -67,7 +84,8 @@ class LogWriter:
         if self._path.suffix != ".mcap":
             raise LogError(f"{self._path}: a log's name must end in .mcap, other readers go by it")
         self._partial = partial_path(self._path)
-        self._encoder = Encoder(bundle)
+        self._encoder = Encoder()
+        self._composer = Composer(bundle, self._encoder)
         self._ticks = 0
         self._realtime = realtime
         self._queue: Queue[Sample | tuple[str, dict[str, str]] | None] = Queue(QUEUE_TICKS[realtime])
@@ -76,6 +94,7 @@ class LogWriter:
         self.dropped = 0
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
+            _set_aside(self._partial)
             self._file = ReservedFile(self._partial)
             try:
                 self._begin(bundle, info)
@@ -92,17 +111,29 @@ class LogWriter:
 
     def _begin(self, bundle: Bundle, info: RunInfo) -> None:
         self._writer = Writer(self._file, chunk_size=2**30)  # type: ignore[arg-type]
-        self._writer.start(profile="ros2", library=f"{LIBRARY} {info.version}")
+        self._writer.start(profile="ros2", library=library(info.version))
         self._channels = register(self._writer, self._encoder)
         urdf = bundle.path(bundle.robot.urdf).read_bytes()
         manifest = bundle.path(MANIFEST).read_bytes()
         facts = json.loads(manifest)
-        policy = {"file": bundle.policy.file, "sha256": facts["files"][bundle.policy.file], "scales": info.design}
+        networks = [facts[part]["file"] for part in ("policy", "depth") if part in facts]
         self._metadata("run", sealed(asdict(info)))
-        self._metadata("policy", sealed({**policy, "exported_by": facts["generator"]}))
+        self._metadata(
+            "policy",
+            sealed(
+                {
+                    "sha256": {name: facts["files"][name] for name in networks},
+                    "scales": info.design,
+                    "exported_by": facts["generator"],
+                }
+            ),
+        )
         self._metadata("provenance", sealed(provenance()))
         self._writer.add_attachment(0, 0, "robot.urdf", "application/xml", urdf)
         self._writer.add_attachment(0, 0, MANIFEST, "application/json", manifest)
+        scene = bundle.path(bundle.robot.scene)
+        if scene.stat().st_size <= MAX_SCENE:
+            self._writer.add_attachment(0, 0, "scene.xml", "application/xml", scene.read_bytes())
         self._description = urdf.decode("utf-8")
 
     def _metadata(self, name: str, values: dict[str, str]) -> None:
@@ -145,8 +176,8 @@ class LogWriter:
     def _handle(self, item: Sample | tuple[str, dict[str, str]] | None) -> None:
         match item:
             case None:
-                if self.dropped:
-                    self._metadata("dropped", sealed({"ticks": self.dropped}))
+                self._writer.flush()
+                self._metadata(CLOSED, sealed({"ticks": self._ticks, "dropped": self.dropped}))
                 self._writer.finish()
             case Sample():
                 self._add(item)
@@ -161,9 +192,9 @@ class LogWriter:
 
     def _add(self, sample: Sample) -> None:
         slot = sample.tick.slot
-        messages = list(self._encoder.messages(sample))
+        messages = list(self._composer.messages(sample))
         if self._ticks == 0:
-            messages.insert(0, ("/robot_description", self._encoder.text(self._description)))
+            messages.insert(0, ("/robot_description", self._composer.text(self._description)))
         for topic, message in messages:
             self._writer.add_message(
                 self._channels[topic],

@@ -48,6 +48,30 @@ def joules(f: float, dt: float) -> float:
     return dt * abs(f)
 
 
+def sampling_errors(policy_j: float, state_j: float, dt: float, state_dt: float) -> tuple[float, float] | None:
+    """How far two sums of the same power, at two rates, may be from its integral.
+
+    A tick's sample is taken just before a new target arrives, so that power rises and falls in step with the
+    samples: a sum at the policy rate is biased, by a tenth and more, and neither a longer run nor its own samples
+    show it. What shows it is the sum at the rate of the state. To first order such a bias is proportional to the
+    step, error = c dt, so the two sums give c (Richardson's extrapolation):
+    ``error_state = |policy - state| state_dt / (dt - state_dt)``, and ``error_policy = error_state dt / state_dt``.
+
+    Args:
+        policy_j: Energy summed at the policy rate, J.
+        state_j: The same work summed at the rate of the state, J.
+        dt: Time between ticks, s.
+        state_dt: Time between states, s.
+
+    Returns:
+        Half-widths of the error bars of both sums, J; None where the states come no faster than the ticks.
+    """
+    if not state_dt < 0.99 * dt:
+        return None
+    slope = abs(policy_j - state_j) / (dt - state_dt)
+    return slope * dt, slope * state_dt
+
+
 def cost_of_transport(energy_j: float, mass: float, distance: float) -> float | None:
     """``E+ / (m g d)``, without unit.
 
