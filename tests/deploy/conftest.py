@@ -77,6 +77,17 @@ def scene_xml(order: tuple[str, ...] = JOINTS, timestep: float = 0.005) -> str:
 </mujoco>"""
 
 
+def urdf() -> bytes:
+    """Joints and their limits; no shapes."""
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><limit lower="{RANGE[part][0]}" upper="{RANGE[part][1]}" '
+        f'effort="{TORQUE}" velocity="20"/></joint>'
+        for name in JOINTS
+        for part in [name.split("_")[1]]
+    )
+    return f'<robot name="box">{joints}</robot>'.encode()
+
+
 def trot_onnx() -> bytes:
     """action = a(phase) + W obs, phase' = phase + step, and a low pass of obs as a second state."""
     rng = np.random.default_rng(0)
@@ -241,7 +252,7 @@ class BundleFolder:
         self.manifest = make_manifest()
         self.files = {
             "policy.onnx": trot_onnx(),
-            "robot.urdf": b'<robot name="box"/>',
+            "robot.urdf": urdf(),
             "robot.xml": scene_xml().encode(),
             "scene.xml": scene_xml().encode(),
             "golden.npz": npz_bytes(reference_golden(sees=sees)),

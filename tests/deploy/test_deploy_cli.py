@@ -6,8 +6,10 @@ import pytest
 from deploy.cli import main
 
 
-def test_check(bundle_dir, capsys):
-    main(["check", str(bundle_dir)])
+def test_doctor(bundle_dir, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main(["doctor", str(bundle_dir)])
+    assert exit_.value.code == 0
     out = capsys.readouterr().out
     assert "box trot: intact" in out
     assert "24 ticks" in out
@@ -29,7 +31,7 @@ def test_run_then_report_agree(bundle_dir, tmp_path, capsys):
 
 def test_errors_are_one_line_and_exit_1(tmp_path, capsys):
     with pytest.raises(SystemExit) as exit_:
-        main(["check", str(tmp_path)])
+        main(["doctor", str(tmp_path)])
     assert exit_.value.code == 1
     captured = capsys.readouterr()
     assert "manifest.json" in captured.err

@@ -79,7 +79,9 @@ def test_bundle_passes_both_verifiers(folder: Path, capsys: pytest.CaptureFixtur
     found = verify_bundle(folder / "bundle")
     assert found.files >= 5
     assert max(found.errors.values()) < 1e-5
-    deploy_main(["check", str(folder / "bundle")])
+    with pytest.raises(SystemExit) as end:
+        deploy_main(["doctor", str(folder / "bundle")])
+    assert end.value.code == 0
     assert "intact" in capsys.readouterr().out
 
 
@@ -89,7 +91,7 @@ def test_altered_bundle_is_refused(folder: Path, tmp_path: Path, capsys: pytest.
     urdf = copy / "robot.urdf"
     urdf.write_text(urdf.read_text().replace("0.", "1.", 1))
     with pytest.raises(SystemExit) as end:
-        deploy_main(["check", str(copy)])
+        deploy_main(["doctor", str(copy)])
     assert end.value.code == 1
     assert "robot.urdf" in capsys.readouterr().err
 

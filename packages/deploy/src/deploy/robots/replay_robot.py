@@ -34,6 +34,7 @@ class LoggedTick:
         obs: What the policy read, shape (P,); None where it did not run.
         action: What it answered, shape (12,).
         frame: The image that entered the depth encoder at this tick.
+        picture_tick: Policy tick to which that image belongs, -1: none.
         seen_tick: Policy tick of the image in use, -1: none.
     """
 
@@ -45,6 +46,7 @@ class LoggedTick:
     obs: NDArray[np.float32] | None
     action: NDArray[np.float32] | None
     frame: DepthFrame | None
+    picture_tick: int
     seen_tick: int
 
 
@@ -166,6 +168,7 @@ def _tick(path: Path, time: int, messages: Mapping[str, Any]) -> LoggedTick:
         obs=values.get("obs"),
         action=values.get("action"),
         frame=_frame(messages.get("/depth/image"), timing.tick),
+        picture_tick=timing.picture_tick,
         seen_tick=timing.seen_tick,
     )
 
