@@ -2,13 +2,20 @@
 
 import json
 import math
+import operator
+import queue
+import sys
+import time
 from dataclasses import replace
 from importlib.resources import files
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from deploy.control.clock import WallClock
 from deploy.depth.optics import DepthOptics
 from deploy.depth.preprocess import DepthPreprocessor
+from deploy.depth.realsense import RealSenseConfig, RealSenseDepth
 from deploy.depth.sources import to_metres
 from deploy.errors import RobotError
 from deploy.interfaces import DepthFrame, Intrinsics
@@ -221,3 +228,122 @@ def test_optics_of_a_manifest():
     }
     found = DepthOptics.from_manifest(depth)
     assert found == DepthOptics(58, 87, Intrinsics(49.6, 55.9, 43.5, 30.0), 0.0, 2.0, (60, 106), 2, 4)
+
+
+# ---------------------------------------------------------------------------------------------- RealSense
+
+
+class StandIn:
+    """A stand-in for pyrealsense2: one camera, whose images a test hands over."""
+
+    stream = SimpleNamespace(depth="depth")
+    format = SimpleNamespace(z16="z16")
+    timestamp_domain = SimpleNamespace(hardware_clock="hardware", global_time="global")
+
+    def __init__(self):
+        self.images, self.asked, self.stopped, self.refusal = queue.Queue(), [], 0, None
+
+    def config(self):
+        return SimpleNamespace(
+            enable_stream=lambda *words: self.asked.append(words),
+            enable_device=lambda serial: self.asked.append(serial),
+        )
+
+    def pipeline(self):
+        return self
+
+    def start(self, streams):
+        if self.refusal:
+            raise RuntimeError(self.refusal)
+        lens = SimpleNamespace(fx=425.0, fy=426.0, ppx=423.0, ppy=239.0)
+        video = SimpleNamespace(get_intrinsics=lambda: lens)
+        sensor = SimpleNamespace(get_depth_scale=lambda: 1e-4)
+        return SimpleNamespace(
+            get_device=lambda: SimpleNamespace(first_depth_sensor=lambda: sensor),
+            get_stream=lambda kind: SimpleNamespace(as_video_stream_profile=lambda: video),
+        )
+
+    def stop(self):
+        self.stopped += 1
+
+    def try_wait_for_frames(self, milliseconds):
+        try:
+            image = self.images.get(timeout=milliseconds * 1e-3)
+        except queue.Empty:
+            return False, None
+        return True, SimpleNamespace(get_depth_frame=lambda: image)
+
+    def give(self, counts, number, domain="global", age_ms=0.0):
+        pixels = np.array(counts, dtype=np.uint16)
+        self.images.put(
+            SimpleNamespace(
+                get_data=lambda: pixels,
+                get_frame_number=lambda: number,
+                get_frame_timestamp_domain=lambda: domain,
+                get_timestamp=lambda: time.time() * 1e3 - age_ms,
+            )
+        )
+        return pixels
+
+
+@pytest.fixture
+def sensor(monkeypatch):
+    """A stand-in for pyrealsense2."""
+    made = StandIn()
+    monkeypatch.setitem(sys.modules, "pyrealsense2", made)
+    return made
+
+
+def until(condition):
+    end = time.monotonic() + 10.0
+    while not condition():
+        assert time.monotonic() < end, "nothing happened in time"
+        time.sleep(0.005)
+
+
+def test_realsense_images_have_units_time_and_intrinsics(sensor):
+    camera, clock = RealSenseDepth(RealSenseConfig(serial="7")), WallClock()
+    pixels = sensor.give([[0, 10000], [20000, 65535]], 41, age_ms=500.0)
+    camera.start(clock)
+    assert sensor.asked == ["7", ("depth", 848, 480, "z16", 30)]
+    frame = camera.latest()
+    pixels[:] = 0  # the driver uses its memory again
+    np.testing.assert_allclose(frame.image_m, [[0.0, 1.0], [2.0, 6.5535]], rtol=1e-6)
+    assert (frame.seq, frame.intrinsics) == (41, Intrinsics(425.0, 426.0, 423.5, 239.5))
+    assert 0.4e9 < clock.now_ns() - frame.stamp_ns < 5e9
+    sensor.give([[1, 2], [3, 4]], 42, domain="hardware", age_ms=-1e9)  # a clock of the camera's own
+    until(lambda: camera.latest().seq == 42)
+    assert 0 <= clock.now_ns() - camera.latest().stamp_ns < 5e9
+    camera.stop()
+    camera.stop()
+    assert sensor.stopped == 1
+
+
+def test_a_realsense_that_gives_no_images(sensor):
+    camera = RealSenseDepth(RealSenseConfig(wait_s=0.2))
+    with pytest.raises(RobotError, match=r"no image within 0.2 s"):
+        camera.start(WallClock())
+    assert sensor.stopped == 1
+    assert camera.latest() is None
+
+
+def test_a_realsense_that_is_not_there(sensor):
+    sensor.refusal = "No device connected"
+    with pytest.raises(RobotError, match=r"848 x 480 depth at 30 Hz \(No device connected\); is the camera on a USB 3"):
+        RealSenseDepth().start(WallClock())
+
+
+def test_without_pyrealsense2_the_error_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    with pytest.raises(RobotError, match=r"pip install 'legged-deploy\[realsense\]'"):
+        RealSenseDepth().start(WallClock())
+
+
+def test_the_stand_in_has_the_names_of_pyrealsense2(monkeypatch):
+    rs = pytest.importorskip("pyrealsense2", reason="needs pyrealsense2: pip install 'legged-deploy[realsense]'")
+    for name in ("stream.depth", "format.z16", "timestamp_domain.hardware_clock", "config.enable_device"):
+        operator.attrgetter(name)(rs)
+    operator.attrgetter("pipeline.try_wait_for_frames", "depth_sensor.get_depth_scale", "intrinsics.ppx")(rs)
+    operator.attrgetter("depth_frame.get_frame_timestamp_domain", "stream_profile.as_video_stream_profile")(rs)
+    with pytest.raises(RobotError, match="No device connected"):
+        RealSenseDepth().start(WallClock())
