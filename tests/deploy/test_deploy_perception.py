@@ -305,6 +305,27 @@ def test_a_camera_that_measures_nothing_damps(drive):
     assert "every pixel is 0" in ticks[-1].reason
 
 
+@pytest.mark.parametrize("ticks", [START - 2, START + 9])
+def test_a_camera_that_refuses_damps(drive, ticks):
+    """Before the policy starts and after."""
+
+    def unplugged(time_ns):
+        raise RobotError("no depth camera; check the cable")
+
+    drive(ticks)
+    drive.robot.eye = unplugged
+    last = drive(6)[-1]
+    assert (last.mode, last.reason) == (Mode.DAMP, "robot: no depth camera; check the cable")
+
+
+def test_frames_of_another_camera_damp(drive):
+    drive(START + 9)
+    drive.robot.eye = lambda time_ns: replace(frame_at(time_ns // TICK), image_m=np.ones((30, 31), np.float32))
+    last = drive(6)[-1]
+    assert last.mode is Mode.DAMP
+    assert "its frames are 31 x 30 px" in last.reason
+
+
 @pytest.mark.parametrize("age", [11, -1])
 def test_a_stale_frame_does_not_let_the_policy_in(drive, age):
     drive(START - 2)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deploy import Controller, ControllerConfig, LogError, OnnxRuntime, RobotError, load_bundle, run
+from deploy.comparison import replay
 from deploy.control.controller import Mode
 from deploy.interfaces import DepthFrame
-from deploy.replay import replay
 from deploy.robots.disturbances import Disturbances
 from deploy.robots.mujoco_robot import MujocoRobot
 from deploy.robots.replay_robot import ReplayRobot

@@ -17,6 +17,7 @@ from rich.table import Column, Table
 from deploy.bundles.loading import load_bundle
 from deploy.bundles.manifest import Bundle
 from deploy.bundles.recording import TICKS, record_golden
+from deploy.comparison import replay
 from deploy.control.operator import Keyboard, Operator
 from deploy.doctor import Diagnosis, examine
 from deploy.errors import DeployError
@@ -24,8 +25,8 @@ from deploy.interfaces import RobotInterface
 from deploy.live import LiveView
 from deploy.logs.messages import Sample
 from deploy.measure.summary import RunSummary
-from deploy.replay import replay
 from deploy.robots.disturbances import Disturbances
+from deploy.robots.opening import Connection, open_robot
 from deploy.session import Observer, RuntimeName, open_runtime, report, run
 
 SIMULATION = "mujoco"
@@ -73,6 +74,8 @@ class Run:
     """What runs the networks."""
     design: tuple[tuple[str, float], ...] = ()
     """Scales that a robot of metal was built with, as NAME VALUE; what is missing is 1."""
+    connect: Connection = field(default_factory=Connection)
+    """How to reach a robot of metal and its camera."""
     seed: int = 0
     """Seed of the simulated robot's initial joint noise."""
     disturb: Disturbances = field(default_factory=Disturbances)
@@ -111,9 +114,7 @@ class Run:
 
     def _open(self, bundle: Bundle) -> RobotInterface:
         if self.robot != SIMULATION:
-            from deploy.robots.opening import open_robot
-
-            return open_robot(self.robot, bundle)
+            return open_robot(self.robot, bundle, self.connect)
         try:
             from deploy.robots.mujoco_robot import MujocoRobot
         except ImportError as error:

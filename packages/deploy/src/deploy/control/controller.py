@@ -123,11 +123,14 @@ class Controller:
         trip = trip or self._guards.check_state(state, self._robot.clock.now_ns())
         if trip is None and not np.isfinite(command).all():
             trip = f"command: not finite: {command.tolist()}"
-        trip = trip or self._advance(state)
         step = None
-        if trip is None and self._mode in (Mode.RAMP_IN, Mode.POLICY):
-            step = self._policy.step(state, command, self._robot.read_depth, slot.start_ns)
-            trip = self._guards.check_action(step.action) or self._check_depth(step)
+        try:
+            trip = trip or self._advance(state)
+            if trip is None and self._mode in (Mode.RAMP_IN, Mode.POLICY):
+                step = self._policy.step(state, command, self._robot.read_depth, slot.start_ns)
+                trip = self._guards.check_action(step.action) or self._check_depth(step)
+        except RobotError as error:  # from the camera
+            trip = f"robot: {error}"
         if trip is not None:
             self.stop(trip)
         sent, clamped = self._send(step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import signal
 import sys
@@ -77,11 +78,15 @@ class Keyboard:
 
     def _poll(self) -> None:
         while self._stop is None and select.select([self._stream], [], [], 0.0)[0]:
-            key = self._stream.read(1)
-            if key in ("\n", "\r"):
-                self._go = True
+            # past the buffer of the stream, which `select` does not know of
+            keys = os.read(self._stream.fileno(), 64).decode(errors="replace")
+            others = [key for key in keys if key not in "\r\n"]
+            if others:
+                self._stop = f"operator stop: key {others[0]!r}"
+            elif not keys:
+                self._stop = "operator stop: the keyboard is gone"
             else:
-                self._stop = f"operator stop: key {key!r}" if key else "operator stop: the keyboard is gone"
+                self._go = True
 
 
 class Interrupts:

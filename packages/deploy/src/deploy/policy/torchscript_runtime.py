@@ -47,10 +47,16 @@ class TorchScriptNetwork:
         """Run once.
 
         Raises:
-            BundleError: The results are not those of the manifest.
+            BundleError: Arguments or results are not those of the manifest.
         """
-        with self._torch.no_grad():
-            values = self._module(*(self._torch.from_numpy(inputs[name]) for name in self._inputs))
+        arguments = [self._torch.from_numpy(inputs[name]) for name in self._inputs]
+        try:
+            with self._torch.no_grad():
+                values = self._module(*arguments)
+        except RuntimeError as error:
+            raise BundleError(
+                f"{self._path}: does not take {', '.join(self._inputs)} ({error}); export it again"
+            ) from error
         found = [tuple(value.shape) for value in values]
         if found != self._shapes:
             raise BundleError(

@@ -97,7 +97,8 @@ class StateDisturber:
         if last is not None and (lost or config.failing("dropped", exact.stamp_ns)):
             return last
         if last is not None and config.failing("frozen", exact.stamp_ns):
-            return replace(last, stamp_ns=exact.stamp_ns, seq=exact.seq)
+            self._last = replace(last, stamp_ns=exact.stamp_ns, seq=exact.seq)
+            return self._last
         for kind, value in (("nan", np.nan), ("zero", 0.0)):
             if config.failing(kind, exact.stamp_ns):
                 return _filled(exact, value)

@@ -5,14 +5,11 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from deploy.bundles.manifest import Bundle
-from deploy.errors import RobotError
 from deploy.interfaces import (
     Array,
     DepthFrame,
@@ -25,23 +22,10 @@ from deploy.interfaces import (
 from deploy.policy.observation import rotate_inverse
 from deploy.robots.disturbances import Disturbances, StateDisturber, disturbed_image
 from deploy.robots.mujoco_camera import MujocoCamera
-
-SAME_BODY = 1e-3
-"""Relative difference of mass or torque limit below which model and manifest mean the same body; MJCF keeps
-about six digits."""
+from deploy.robots.mujoco_scene import load_scene
 
 MOST_FRAMES = 64
 """Frames of the camera that may be under way."""
-
-
-@dataclass(frozen=True)
-class _Addresses:
-    """Where the joints of the robot live in the model, in the order of its actuators."""
-
-    names: tuple[str, ...]
-    actuator: NDArray[np.intp]
-    qpos: NDArray[np.intp]
-    dof: NDArray[np.intp]
 
 
 class MujocoRobot:
@@ -73,22 +57,13 @@ class MujocoRobot:
         Raises:
             RobotError: The scene does not compile or does not hold the robot that the manifest describes.
         """
-        self._path = bundle.path(bundle.robot.scene)
-        try:
-            self._model = mujoco.MjModel.from_xml_path(str(self._path))
-        except ValueError as error:
-            raise RobotError(f"{self._path}: MuJoCo cannot compile it ({error}); export it again") from error
-        # A diverged simulation must reach the guards as it is, not restart behind their back.
-        self._model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        scene = load_scene(bundle)
+        self._model, self._joints, self._base = scene.model, scene.joints, scene.base
+        self._feet, self._foot_geoms = scene.foot_sites, scene.foot_geoms
+        self._root_qpos, self._root_dof = scene.root_qpos, scene.root_dof
         self._data = mujoco.MjData(self._model)
-        self._joints = self._find_joints(bundle)
-        self._base = self._find("body", mujoco.mjtObj.mjOBJ_BODY, bundle.robot.base)
-        self._feet = [self._find("site", mujoco.mjtObj.mjOBJ_SITE, foot) for foot in bundle.robot.feet]
-        self._foot_geoms = np.array([self._foot_geom(site) for site in self._feet])
         self._disturbances = disturbances or Disturbances()
         self._disturb = StateDisturber(self._disturbances)
-        self._check_body(bundle)
-        self._root_qpos, self._root_dof = self._find_root(bundle.robot.base)
         self._damping = damping
         self._spec = RobotSpec(
             f"{bundle.robot.name} in MuJoCo",
@@ -110,80 +85,6 @@ class MujocoRobot:
         self._readings: deque[RobotState] = deque(maxlen=delay + 1 if delay else 0)
         self._start_in_stance(bundle, np.random.default_rng(seed), joint_noise)
         self._remember()
-
-    def _find(self, kind: str, object_type: int, name: str) -> int:
-        index = mujoco.mj_name2id(self._model, object_type, name)
-        if index < 0:
-            raise RobotError(f"{self._path}: no {kind} {name!r} in it; export the bundle again")
-        return index
-
-    def _find_joints(self, bundle: Bundle) -> _Addresses:
-        model = self._model
-        wanted = {
-            self._find("actuator", mujoco.mjtObj.mjOBJ_ACTUATOR, joint.actuator): joint.name for joint in bundle.joints
-        }
-        if model.nu != len(wanted):
-            raise RobotError(f"{self._path}: {model.nu} actuators, the manifest has {len(wanted)}; export it again")
-        qpos, dof = [], []
-        for actuator, name in sorted(wanted.items()):
-            joint = self._find("joint", mujoco.mjtObj.mjOBJ_JOINT, name)
-            servo = (
-                model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
-                and model.actuator_trnid[actuator, 0] == joint
-                and model.actuator_gear[actuator, 0] == 1.0
-                and model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_NONE
-                and model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
-                and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
-            )
-            if not servo:
-                raise RobotError(
-                    f"{self._path}: actuator of {name} is not a position servo on that joint; "
-                    "use <position joint=... kp=... kv=...> with gear 1"
-                )
-            qpos.append(model.jnt_qposadr[joint])
-            dof.append(model.jnt_dofadr[joint])
-        return _Addresses(
-            names=tuple(wanted[actuator] for actuator in sorted(wanted)),
-            actuator=np.array(sorted(wanted)),
-            qpos=np.array(qpos),
-            dof=np.array(dof),
-        )
-
-    def _find_root(self, base: str) -> tuple[int, int]:
-        joint = self._model.body_jntadr[self._base]
-        if joint < 0 or self._model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-            raise RobotError(f"{self._path}: body {base!r} has no free joint; export the bundle again")
-        return int(self._model.jnt_qposadr[joint]), int(self._model.jnt_dofadr[joint])
-
-    def _foot_geom(self, site: int) -> int:
-        """The geom of a foot: of those of its body that can touch, the one nearest to its site."""
-        model = self._model
-        can_touch = (model.geom_contype | model.geom_conaffinity) > 0
-        geoms = np.flatnonzero((model.geom_bodyid == model.site_bodyid[site]) & can_touch)
-        if not len(geoms):
-            raise RobotError(f"{self._path}: foot {model.site(site).name!r} has no geom that can touch the ground")
-        gaps = np.linalg.norm(model.geom_pos[geoms] - model.site_pos[site], axis=1)
-        return int(geoms[np.argmin(gaps)])
-
-    def _check_body(self, bundle: Bundle) -> None:
-        model = self._model
-        limits = {joint.name: joint.torque_limit for joint in bundle.joints}
-        pairs = {"total mass": (model.body_subtreemass[self._base], bundle.robot.total_mass)}
-        for actuator, name in zip(self._joints.actuator, self._joints.names, strict=True):
-            joint = model.actuator_trnid[actuator, 0]
-            found = [np.inf]
-            if model.actuator_forcelimited[actuator]:
-                found.append(model.actuator_forcerange[actuator, 1])
-            if model.jnt_actfrclimited[joint]:
-                found.append(model.jnt_actfrcrange[joint, 1])
-            pairs[f"torque limit of {name}"] = (min(found), limits[name])
-        pairs["physics step"] = (model.opt.timestep, bundle.physics_dt)
-        for what, (in_model, in_manifest) in pairs.items():
-            if not np.isclose(in_model, in_manifest, rtol=SAME_BODY, atol=0.0):
-                raise RobotError(
-                    f"{self._path}: {what} is {in_model:g}, the manifest says {in_manifest:g}; "
-                    "the scene holds another body: export the bundle again"
-                )
 
     def _start_in_stance(self, bundle: Bundle, rng: np.random.Generator, noise: float) -> None:
         joints = {joint.name: joint for joint in bundle.joints}
