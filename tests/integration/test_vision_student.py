@@ -12,6 +12,7 @@ import distill
 import numpy as np
 import pytest
 import torch
+from deploy.logs.messages import Sample
 from distill.vision import Convolution
 from locorl import (
     DepthConfig,
@@ -178,9 +179,8 @@ def test_a_seeing_student_of_the_shipped_teacher_learns(task: TaskConfig, teache
 
 
 @pytest.mark.slow
-def test_its_bundle_is_complete_and_a_blind_runtime_says_what_it_lacks(
-    task: TaskConfig, teacher: Policy, tmp_path: Path
-) -> None:
+def test_its_bundle_is_complete_and_runs(task: TaskConfig, teacher: Policy, tmp_path: Path) -> None:
+    """An untrained student: both verifiers agree on its golden trace, and deploy runs it with its camera."""
     env, factory = make(task), find_factory("lite3")
     torch.manual_seed(1)
     student = distill.build_vision_student(env, teacher, distill.VisionStudentConfig(), prepare(env, teacher))
@@ -192,5 +192,48 @@ def test_its_bundle_is_complete_and_a_blind_runtime_says_what_it_lacks(
     assert depth["inputs"] == {"depth": [1, 10, 15], "obs": [1, PROPRIO]}
     # the middle of the sensor is 30 rows down; of 58 rows left, 10 remain
     assert depth["camera"]["cy"] == pytest.approx(30 * 10 / 58)
-    with pytest.raises(deploy.BundleError, match="needs a depth camera"):
-        deploy.load_bundle(folder)
+    diagnosis = deploy.examine(folder)
+    assert diagnosis.problems == ()
+    assert {name: result.ticks for name, result in diagnosis.golden.items()} == {"onnx": 256, "torchscript": 256}
+    pictures, seen = [], []
+    log = tmp_path / "look.mcap"
+
+    def look(sample: Sample) -> None:
+        if (step := sample.tick.step) is not None:
+            assert step.seen is not None
+            seen.append(step.seen.tick)
+            pictures.extend([] if step.picture is None else [step.picture])
+
+    deploy.run(folder, (0.5, 0.0, 0.0), 0.4, log, on_tick=look)
+    assert [picture.tick for picture in pictures[:3]] == [0, 5, 10]
+    latency = depth["latency_ticks"]
+    assert seen == [(tick - latency) // 5 * 5 if tick >= latency else -1 for tick in range(len(seen))]
+    bundle = deploy.load_bundle(folder)
+    replayed = deploy.replay(log, bundle, deploy.OnnxRuntime(bundle))
+    assert (replayed.identical, replayed.first) == (len(seen), None)
+
+
+@pytest.mark.slow
+def test_the_simulated_camera_of_deploy_is_that_of_the_training(
+    task: TaskConfig, teacher: Policy, tmp_path: Path
+) -> None:
+    """Flat ground from above, the two ray casters of the project on one pose."""
+    from deploy.robots.mujoco_robot import MujocoRobot
+    from locorl.env.depth_camera import DepthCamera, mounted
+    from locorl.terrain.heights import HeightGrid
+
+    env, factory = make(task), find_factory("lite3")
+    camera = replace(task.camera, pitch=(10.0, 10.0))  # pyright: ignore[reportArgumentType]
+    student = distill.build_vision_student(env, teacher, distill.VisionStudentConfig(), prepare(env, teacher))
+    spec = bundle_spec(factory, teacher, np.ones(4), {}, camera)  # pyright: ignore[reportArgumentType]
+    bundle = deploy.load_bundle(distill.export_vision_bundle(tmp_path / "bundle", student, spec))
+    robot = MujocoRobot(bundle, joint_noise=0.0)
+    frame = robot.read_depth()
+    assert frame is not None
+    truth = robot.truth()
+    ground = HeightGrid(np.zeros((200, 200)), (-10.0, -10.0), cell=0.1)
+    pose = torch.tensor(truth.position)[None], torch.tensor(truth.quat_wxyz)[None]
+    expected = DepthCamera(camera, ground).render(*mounted(camera, *pose, torch.tensor([np.radians(10.0)])))[0]
+    found = np.minimum(frame.image_m, camera.far)
+    np.testing.assert_allclose(found, expected.numpy(), atol=2e-3)
+    assert (found < camera.far).mean() > 0.3
