@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from deploy.measure.energy import cost_of_transport, eq10, joules, positive_power
+from deploy.measure.energy import cost_of_transport, eq10, joules, positive_power, sampling_errors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -53,3 +53,22 @@ def test_cost_of_transport():
 @pytest.mark.parametrize("distance", [0.0, 0.49, -3.0, np.nan])
 def test_cost_of_transport_without_distance(distance):
     assert cost_of_transport(1.0, mass=10.0, distance=distance) is None
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.floats(-80, 80), st.floats(100, 200), st.integers(2, 20), st.integers(1, 50))
+def test_error_bars_are_the_errors_of_power_in_step_with_the_ticks(slope, start, states, ticks):
+    """Power that runs a ramp in every tick: both sums miss the integral by what the bars say, in closed form."""
+    dt = 0.02
+    exact = ticks * (start * dt + slope * dt / 2)
+    at_ticks = ticks * start * dt
+    fine = np.arange(states) / states
+    at_states = ticks * (start + slope * fine).sum() * dt / states
+    policy, state = sampling_errors(at_ticks, at_states, dt, dt / states)
+    assert policy == pytest.approx(abs(at_ticks - exact), rel=1e-6, abs=1e-9)
+    assert state == pytest.approx(abs(at_states - exact), rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("state_dt", [0.02, 0.0199, 0.04, np.nan])
+def test_no_error_bar_without_faster_states(state_dt):
+    assert sampling_errors(10.0, 11.0, 0.02, state_dt) is None

@@ -70,7 +70,7 @@ def test_any_flipped_byte_costs_one_chunk_at_most(intact, tmp_path):
     data = path.read_bytes()
     total = len(ticks(original))
     whole = 0
-    positions = {*np.linspace(0, len(data) - 1, 25).astype(int), 0, 8, 9, len(data) - 1, len(data) - 9}
+    positions = {*np.linspace(0, len(data) - 1, 25).astype(int), 0, 8, 9, 10, len(data) - 1, len(data) - 9}
     positions |= {data.index(b"zstd") + offset for offset in (-38, -37, -30, -20, -8, -4, 0, 4, 12)}
     for position in sorted(int(p) for p in positions):
         flipped = bytearray(data)

@@ -10,6 +10,7 @@ import tyro
 
 from deploy.logs.export import export_rosbag2
 from deploy.logs.recovery import recover
+from deploy.logs.storage import RESERVE_SUFFIX
 
 Out = tyro.conf.arg(aliases=["-o"])
 
@@ -26,6 +27,9 @@ class Recover:
     def execute(self) -> None:
         """Recover and print what was kept."""
         print("\n".join(recover(self.log, self.out).sentences()))
+        reserve = self.log.with_name(self.log.name + RESERVE_SUFFIX)
+        if reserve.is_file():
+            print(f"{reserve} only kept room; delete it if the run is over.")
 
 
 @dataclass(frozen=True)

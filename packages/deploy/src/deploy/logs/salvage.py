@@ -102,6 +102,9 @@ def _take(data: bytes, position: int, end: int, found: Salvage) -> int | None:
     elif opcode == Opcode.MESSAGE_INDEX:
         if length < 6 or length != 6 + struct.unpack_from("<I", content, 2)[0]:
             return None
+    elif opcode == Opcode.HEADER:
+        if length != _strings_size(content, 2):
+            return None
     elif not 1 <= opcode <= Opcode.DATA_END or opcode == Opcode.CHUNK:
         return None
     return after
@@ -122,6 +125,16 @@ def _chunk(data: bytes, position: int, end: int) -> tuple[list[Schema | Channel 
     except (ValueError, zstandard.ZstdError):  # a failed checksum is a ValueError
         return None
     return [record for record in records if isinstance(record, Schema | Channel | Message)], start + stored
+
+
+def _strings_size(content: bytes, count: int) -> int:
+    """Bytes that so many length-prefixed strings at the start take; -1 if they are not there."""
+    size = 0
+    for _ in range(count):
+        if size + 4 > len(content):
+            return -1
+        size += 4 + struct.unpack_from("<I", content, size)[0]
+    return size
 
 
 def _metadata(content: bytes) -> Metadata | None:

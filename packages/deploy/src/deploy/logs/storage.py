@@ -9,6 +9,8 @@ from pathlib import Path
 RESERVE_BYTES = 8 * 2**20
 """Room for the last seconds of a run and the index of about two hours."""
 
+RESERVE_SUFFIX = ".reserve"
+
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -31,7 +33,7 @@ class ReservedFile:
         """
         self.full = False
         self._size = 0
-        self._reserve = path.with_name(path.name + ".reserve")
+        self._reserve = path.with_name(path.name + RESERVE_SUFFIX)
         self._file = path.open("wb", buffering=0)
         try:
             # Random bytes: a filesystem that compresses would keep no room for zeros.

@@ -99,9 +99,11 @@ def account(log: Log, seconds: float | None = None) -> EnergyAccount:
     closed = np.append(active, min(active[-1] + 1, len(trace.mode) - 1))
     spent = np.diff(trace.joint_energy_pos_j[closed], axis=0)
     counted = trace.states[closed[-1]] - trace.states[closed[0]]
-    errors, state_hz, work = None, None, sampled
+    errors, state_hz, work, spans = None, None, sampled, np.full(len(active), dt)
     if summary.energy_j_physics is not None and counted > 0:
         work = spent
+        # a slot that was skipped, or lost from a damaged log, makes its tick longer
+        spans = np.maximum(np.diff(trace.time[closed]), dt / 2)
         elapsed = trace.time[closed[-1]] - trace.time[closed[0]]
         state_hz = float(counted / elapsed)
         errors = sampling_errors(summary.energy_j_50hz, summary.energy_j_physics, dt, 1.0 / state_hz)
@@ -119,12 +121,14 @@ def account(log: Log, seconds: float | None = None) -> EnergyAccount:
         fore_j=None if fore is None else float(per_joint[fore].sum()),
         hind_j=None if fore is None else float(per_joint[~fore].sum()),
         time=trace.time[active] - trace.time[active[0]],
-        power_w=work.sum(axis=1) / dt,
+        power_w=work.sum(axis=1) / spans,
         cumulative_j=np.cumsum(work.sum(axis=1)),
     )
 
 
 def _head(trace: Trace, rows: int) -> Trace:
-    """The first rows of a trace."""
+    """The first rows of a trace; the last of them only closes the period before it."""
     arrays = {field.name: getattr(trace, field.name) for field in fields(trace) if field.name != "reason"}
-    return replace(trace, **{name: values[:rows] for name, values in arrays.items()})
+    cut = {name: values[:rows] for name, values in arrays.items()}
+    closing = np.arange(rows) == rows - 1
+    return replace(trace, **{**cut, "mode": np.where(closing[: len(cut["mode"])], "damp", cut["mode"])})

@@ -206,7 +206,7 @@ def _depth(log: Log) -> list[str]:
 
 def _provenance(log: Log) -> str:
     rows: list[tuple[object, object]] = [("bundle", f"{log.info.bundle}, manifest SHA-256 {log.info.bundle_sha256}")]
-    for name in ("policy", "provenance", "closed", "recovery"):
+    for name in ("policy", "provenance", "controller", "closed", "recovery"):
         for key, value in log.metadata.get(name, {}).items():
             rows.append((f"{name}: {key}", value))
     return _table(rows)

@@ -91,7 +91,7 @@ def _encode(out: Path, pictures: Iterator[NDArray[np.uint8]]) -> None:
     import imageio_ffmpeg
 
     writer = imageio_ffmpeg.write_frames(
-        str(out), (WIDTH, HEIGHT), fps=FPS, quality=4, output_params=["-preset", "veryfast"]
+        str(out), (WIDTH, HEIGHT), fps=FPS, quality=4, macro_block_size=8, output_params=["-preset", "veryfast"]
     )
     writer.send(None)
     for picture in pictures:
