@@ -7,7 +7,7 @@ EDITABLE := $(foreach p,$(PACKAGES),-e packages/$(p)[test])
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: install demo test test-all test-alone real-robots real-robots-files lint format bench clean
+.PHONY: install demo test test-all test-alone real-robots real-robots-files robot-drivers lint format bench clean
 
 install: $(STAMP)
 
@@ -23,7 +23,7 @@ demo: install
 test: lint
 	$(BIN)/pytest -m "not slow"
 
-test-all: real-robots-files lint
+test-all: real-robots-files robot-drivers lint
 	$(BIN)/pytest
 	$(MAKE) test-alone
 
@@ -31,6 +31,10 @@ test-all: real-robots-files lint
 real-robots-files: install
 	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/morphgen[real-robots]
 	$(BIN)/python tools/real_robots.py
+
+# cameras and robots over DDS, and the vendor's message definitions; the C++ runner's test takes cmake from the system
+robot-drivers: install
+	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/deploy[realsense,test-unitree]
 
 real-robots: real-robots-files
 	$(BIN)/pytest tests/morphgen/test_morphgen_real_robots.py
