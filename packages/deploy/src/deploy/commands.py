@@ -107,7 +107,7 @@ class Run:
                 dry_run=self.dry_run,
                 runtime=self.runtime,
                 design=dict(self.design),
-                on_tick=lambda sample: [observe(sample) for observe in observers] and None,
+                on_tick=_all(observers),
             )
         print_summary(summary, self.as_json)
         sys.exit(0 if summary.completed else 2)
@@ -196,6 +196,14 @@ class Report:
     def execute(self) -> None:
         """Measure and print."""
         print_summary(report(self.log), self.as_json)
+
+
+def _all(observers: list[Observer]) -> Observer:
+    def observe(sample: Sample) -> None:
+        for each in observers:
+            each(sample)
+
+    return observe
 
 
 class Pacer:

@@ -99,9 +99,10 @@ class StateDisturber:
         if last is not None and config.failing("frozen", exact.stamp_ns):
             self._last = replace(last, stamp_ns=exact.stamp_ns, seq=exact.seq)
             return self._last
-        for kind, value in (("nan", np.nan), ("zero", 0.0)):
-            if config.failing(kind, exact.stamp_ns):
-                return _filled(exact, value)
+        if config.failing("nan", exact.stamp_ns):
+            return _filled(exact, np.nan)
+        if config.failing("zero", exact.stamp_ns):
+            return _filled(exact, 0.0)
         self._last = self._with_noise(exact, rng)
         return self._last
 
@@ -132,7 +133,8 @@ def disturbed_image(config: Disturbances, depth: Image, seq: int, stamp_ns: int)
     if config.failing("depth_nan", stamp_ns):
         return np.full_like(depth, np.nan)
     if config.depth_noise > 0.0:
-        depth = depth * (1.0 + config.depth_noise * rng.standard_normal(depth.shape, dtype=np.float32))
+        noise = np.float32(config.depth_noise) * rng.standard_normal(depth.shape, dtype=np.float32)
+        depth = (depth * (1.0 + noise)).astype(np.float32)
     return depth
 
 
