@@ -78,7 +78,7 @@ def read_log(path: str | Path) -> Log:
             ]
         with AnyReader([path]) as reader:
             connections = [c for c in reader.connections if c.topic in NEEDED + OPTIONAL]
-            messages = [
+            messages: list[tuple[int, str, Any]] = [
                 (time, connection.topic, reader.deserialize(raw, connection.msgtype))
                 for connection, time, raw in reader.messages(connections=connections)
             ]
@@ -103,7 +103,7 @@ def read_log(path: str | Path) -> Log:
         raise LogError(
             f"{path}: metadata 'run' has other fields ({error}); read it with the version that wrote it"
         ) from error
-    attached = {record.name: record.data for record in extras if isinstance(record, Attachment)}
+    attached: dict[str, bytes] = {record.name: record.data for record in extras if isinstance(record, Attachment)}
     if MANIFEST in attached and hashlib.sha256(attached[MANIFEST]).hexdigest() != info.bundle_sha256:
         raise LogError(
             f"{path}: torn or altered log ({MANIFEST} is not the one that ran); "

@@ -14,11 +14,13 @@ OTHERS = ("#7a5195", "#d9a441", "#3d6fb4", INK)
 """For bodies beyond the nominal and the best."""
 
 
-def figure(width: float, height: float, rows: int = 1, columns: int = 1, **layout: object) -> tuple[Figure, list[Axes]]:
+def figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, sharex: bool = False
+) -> tuple[Figure, list[Axes]]:
     """A figure of `width` x `height` inches with plain axes, row by row; not registered with pyplot."""
     made = Figure((width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(made)
-    axes = list(made.subplots(rows, columns, squeeze=False, **layout).ravel())  # pyright: ignore[reportArgumentType]
+    axes = list(made.subplots(rows, columns, squeeze=False, sharex=sharex).ravel())
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)
         ax.tick_params(colors=MUTED, labelsize=9)
