@@ -139,7 +139,7 @@ def _axis(
     def to_frame(position: NDArray[np.float64]) -> NDArray[np.float64]:
         return (position - image[1]) / image[0] * frame[0] + frame[1] + TIE
 
-    centre = np.floor(to_frame(np.arange(count) + 0.5)).astype(np.intp)
+    centre = np.floor(to_frame(np.arange(count, dtype=np.float64) + 0.5)).astype(np.intp)
     edges = np.ceil(to_frame(np.arange(count + 1.0)) - 0.5 - 2 * TIE).astype(np.intp)
     seen = (centre >= 0) & (centre < size)
     first, last = np.minimum(edges[:-1], centre), np.maximum(edges[1:] - 1, centre)

@@ -4,6 +4,9 @@ CRC-32 (polynomial 0x04C11DB7, start 0xFFFFFFFF, most significant bit first, no 
 words of the message as a C structure on a little-endian machine, without its last word, the checksum itself.
 """
 
+# pyright: reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+# pyright: reportGeneralTypeIssues=false, reportOperatorIssue=false
+# To the checker an IDL array is no sequence.
 from __future__ import annotations
 
 import struct

@@ -1,5 +1,8 @@
 """Between the arrays of `RobotInterface` and the messages of a Go2."""
 
+# pyright: reportArgumentType=false, reportIndexIssue=false, reportAttributeAccessIssue=false
+# pyright: reportGeneralTypeIssues=false, reportOperatorIssue=false
+# To the checker an IDL array is no sequence.
 from __future__ import annotations
 
 import numpy as np

@@ -6,7 +6,7 @@ Names, order and types of the members are given by the robot: DDS compares them 
 # No `from __future__ import annotations`: cyclonedds reads the annotations as types.
 # pyright: reportMissingImports=false, reportInvalidTypeForm=false, reportUntypedBaseClass=false
 # pyright: reportInvalidTypeArguments=false, reportGeneralTypeIssues=false, reportAssignmentType=false
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportArgumentType=false
 # ruff: noqa: RUF009 (`zeros` and `each` return fields with a default factory)
 from dataclasses import dataclass, field
 
