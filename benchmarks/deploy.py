@@ -44,7 +44,6 @@ from deploy.logs.messages import Sample
 from deploy.logs.metadata import RunInfo
 from deploy.logs.writer import LogWriter
 from deploy.policy.torchscript_runtime import TorchScriptRuntime
-from distill.checkpoint import load_student
 from locorl import load_policy
 from numpy.typing import NDArray
 
@@ -225,7 +224,7 @@ def main() -> None:
     options = tyro.cli(Benchmark, description=__doc__)
     torch.set_num_threads(1)
     bundle = load_bundle(options.folder / "bundle")
-    student = load_student(
+    student = distill.load_student(
         options.folder / "student" / "student.pt", load_policy(options.folder / "student" / "teacher.pt")
     )
     print(f"{bundle.name}, {bundle.observation_size} inputs, {options.ticks} ticks a run, {options.runs} runs of each")
