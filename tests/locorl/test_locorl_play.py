@@ -307,6 +307,16 @@ def test_the_depth_image_lies_in_the_corner(play):
 
 
 @pytest.mark.usefixtures("gl")
+def test_the_first_picture_is_as_the_second(play):
+    """MuJoCo lays an endless plane around the camera of the picture before."""
+    session = play()
+    camera = RobotCamera(session.env.sim.model_of(0), 160, 120, dt=0.02)
+    first, second = (camera.draw(session.qpos(0), np.zeros((0, 3))).copy() for _ in range(2))
+    camera.close()
+    np.testing.assert_array_equal(first, second)
+
+
+@pytest.mark.usefixtures("gl")
 def test_a_waypoint_is_drawn_where_it_is(play):
     """Its ball appears where a pinhole camera of 40 degrees, 1.9 m behind the robot, sees it."""
     session, size = play(), (320, 240)

@@ -126,6 +126,8 @@ class RobotCamera:
         data.light_xpos[:] = base - _SUN * data.light_xdir
         self._follow(base, float(np.arctan2(data.xmat[self._base, 3], data.xmat[self._base, 0])))
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        # an endless plane is drawn around the camera as it was: without this the first picture has no ground
+        mujoco.mjv_updateCamera(model, data, self._camera, self._scene)
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._scene)
         for index, mark in enumerate(marks):
             self._add_ball(mark, REACHED if index < reached else NEXT if index == reached else AHEAD)
