@@ -218,8 +218,8 @@ def test_a_path_without_an_opener_names_the_package_to_install(monkeypatch, file
 def test_providers_find_robots_by_entry_point(monkeypatch, trained):
     install(monkeypatch, EntryPoint())
     one = locorl.providers.make_env("box", num_envs=2, design=(1.0, 1.2, 1.0, 1.2))
-    np.testing.assert_array_equal(one.bodies.designs, [(1.0, 1.2, 1.0, 1.2)] * 2)
+    np.testing.assert_array_equal(one.env.bodies.designs, [(1.0, 1.2, 1.0, 1.2)] * 2)
     many = locorl.providers.make_env("box", num_envs=3, seed=1)
-    assert len(np.unique(many.bodies.designs, axis=0)) == 3
+    assert len(np.unique(many.env.bodies.designs, axis=0)) == 3
     teacher = locorl.providers.load_teacher(trained / "policy.pt")
     assert teacher.act(many.reset()).shape == (3, 12)
