@@ -87,6 +87,17 @@ class JointCommand:
     tau: Array
     stamp_ns: int
 
+    @classmethod
+    def limp(cls, joints: int, damping: float, stamp_ns: int = 0) -> JointCommand:
+        """No stiffness and no torque, `damping` (N m s/rad) on every joint."""
+        zeros = np.zeros(joints)
+        return cls(zeros, zeros, zeros, zeros + damping, zeros, stamp_ns)
+
+    @property
+    def finite(self) -> bool:
+        """Whether every number is."""
+        return all(bool(np.isfinite(each).all()) for each in (self.q, self.dq, self.kp, self.kd, self.tau))
+
 
 @dataclass(frozen=True)
 class Intrinsics:

@@ -210,8 +210,7 @@ class MujocoRobot:
 
     def damp(self) -> None:
         """No stiffness, `damping` on every joint."""
-        zeros = np.zeros(len(self._joints.names))
-        self.write(JointCommand(zeros, zeros, zeros, zeros + self._damping, zeros, self.now_ns()))
+        self.write(JointCommand.limp(len(self._joints.names), self._damping, self.now_ns()))
 
     def truth(self) -> GroundTruth:
         """Exact pose and velocity of the base."""

@@ -8,8 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from deploy.control.clock import WallClock
 from deploy.depth.sources import DepthSource
 from deploy.errors import RobotError
@@ -121,8 +119,7 @@ class Ros2Robot:
         Raises:
             RobotError: The robot is not started, or a number is not finite; then it is damped instead.
         """
-        numbers = np.concatenate((command.q, command.dq, command.kp, command.kd, command.tau))
-        if not np.isfinite(numbers).all():
+        if not command.finite:
             self.damp()
             raise RobotError("ROS 2: a command is not finite; the robot was damped instead")
         if not self._send(command):
@@ -130,8 +127,7 @@ class Ros2Robot:
 
     def damp(self) -> None:
         """No stiffness, `damping` on every joint; from any thread. Before `start` and after `stop` nothing is sent."""
-        zeros = np.zeros(len(self._spec.joint_names))
-        self._send(JointCommand(zeros, zeros, zeros, zeros + self._config.damping, zeros, 0))
+        self._send(JointCommand.limp(len(self._spec.joint_names), self._config.damping))
 
     def _send(self, command: JointCommand) -> bool:
         with self._lock:

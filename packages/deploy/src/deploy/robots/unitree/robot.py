@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
@@ -135,8 +134,7 @@ class UnitreeRobot:
         Raises:
             RobotError: The robot is not started, or a number is not finite; then it is damped instead.
         """
-        numbers = np.concatenate((command.q, command.dq, command.kp, command.kd, command.tau))
-        if not np.isfinite(numbers).all():
+        if not command.finite:
             self.damp()
             raise RobotError(f"{self._where()}: a command is not finite; the robot was damped instead")
         with self._lock:
@@ -146,8 +144,7 @@ class UnitreeRobot:
 
     def damp(self) -> None:
         """No stiffness, `damping` on every joint; from any thread. Before `start` and after `stop` nothing is sent."""
-        zeros = np.zeros(len(GO2.joint_names))
-        limp = JointCommand(zeros, zeros, zeros, zeros + self._config.damping, zeros, 0)
+        limp = JointCommand.limp(len(GO2.joint_names), self._config.damping)
         with self._lock:
             if self._writer is not None:
                 self._writer.write(low_cmd(limp, GO2))
