@@ -1,19 +1,19 @@
 r"""How close a short fine-tune of the generalist comes to training from scratch on one body.
 
     python studies/from_scratch.py go2-flat --seeds 1
-    python studies/finetune.py
+    python studies/finetune.py go2-flat
 
-For three bodies and two seeds each: fine-tunes the generalist of the study go2-flat for a fifteenth of its
+For three bodies and two seeds each: fine-tunes the generalist of a study of from_scratch.py for a fifteenth of its
 iterations, trains from scratch for all of them, and evaluates both and the generalist on the same commands and
-starts. Works in runs/studies/finetune (killed at any moment, the same command goes on) and writes
-results/go2-flat-finetune.
+starts. Works in runs/studies/<study>-finetune (killed at any moment, the same command goes on) and writes
+results/<study>-finetune.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import tyro
@@ -22,6 +22,7 @@ from locorl import (
     EvalConfig,
     Evaluation,
     FinetuneConfig,
+    TrainConfig,
     Trainer,
     evaluate,
     find_factory,
@@ -34,17 +35,16 @@ from locorl import (
 from locorl.evaluation.plots import save
 from locorl.interfaces import Array, BodyFactory
 from matplotlib.figure import Figure
-from study import RUNS, markdown_table, write_results
+from study import MIRRORED, RUNS, markdown_table, write_results
 
 from legged_codesign.report.style import ACCENT, BEST, NOMINAL, figure, label
 
 BODIES = ((1.0, 1.0, 1.0, 1.0), (0.6, 1.4, 0.6, 1.4), (1.4, 1.4, 0.6, 0.6))
 """Front thigh, front shank, hind thigh, hind shank."""
 PROTOCOL = EvalConfig(robots_per_body=100, reset_joint=0.1, seed=4242)
-STUDY = STUDIES["go2-flat"]
 SHARE = 1 / 15
 """Of the pre-training's iterations (section IV-C: 6.67 %)."""
-FINE_TUNING = replace(STUDY.config.ppo, learning_rate=3e-4, desired_kl=0.02, epochs=15, minibatches=8, entropy=0.0)
+FINE_TUNING = replace(MIRRORED, learning_rate=3e-4, desired_kl=0.02, epochs=15, minibatches=8, entropy=0.0)
 """Many small steps on each rollout: so short a training is poor in samples, not in time. Chosen with another seed
 and other evaluations than those reported."""
 POLICIES = {"generalist": NOMINAL, "fine-tuned": ACCENT, "from scratch": BEST}
@@ -54,8 +54,8 @@ POLICIES = {"generalist": NOMINAL, "fine-tuned": ACCENT, "from scratch": BEST}
 class Options:
     """Options."""
 
-    generalist: Path = RUNS / "go2-flat" / "seed-1" / "policy.pt"
-    """Where fine-tunes start."""
+    study: Annotated[str, tyro.conf.Positional] = "go2-flat"
+    """The study of from_scratch.py whose first generalist is fine-tuned."""
     seeds: tuple[int, ...] = (1, 2)
     """Of the trainings on one body."""
     protocol: EvalConfig = field(default_factory=lambda: PROTOCOL)
@@ -77,15 +77,16 @@ class Case:
 def main() -> None:
     """Train, evaluate, record."""
     options = tyro.cli(Options, description=__doc__)
-    factory = find_factory(STUDY.robot)
-    cases = [run(factory, options, body, seed) for body in BODIES for seed in options.seeds]
+    study = STUDIES[options.study]
+    factory = find_factory(study.robot)
+    cases = [run(factory, study.config, options, body, seed) for body in BODIES for seed in options.seeds]
     rows = [table_row(case) for case in cases]
     ratios = {body: ratio(returns(cases, body, "fine-tuned"), returns(cases, body, "from scratch")) for body in BODIES}
-    iterations = STUDY.config.iterations
+    iterations = study.config.iterations
     lines = [
         f"From scratch: {iterations} iterations on the one body; fine-tuned: at most {int(iterations * SHARE)} from "
         f"the generalist, with {FINE_TUNING.epochs} passes over each rollout in {FINE_TUNING.minibatches} minibatches "
-        f"(from scratch: {STUDY.config.ppo.epochs} in {STUDY.config.ppo.minibatches}). Undiscounted return of 20 s "
+        f"(from scratch: {MIRRORED.epochs} in {MIRRORED.minibatches}). Undiscounted return of 20 s "
         "(eq. 9) of 100 robots with the same commands and starts.",
         "",
         *markdown_table(COLUMNS, rows),
@@ -116,15 +117,16 @@ def main() -> None:
             for case in cases
         ],
     }
-    folder = write_results("go2-flat-finetune", lines, facts, options.seeds)
+    folder = write_results(f"{options.study}-finetune", lines, facts, options.seeds)
     save(curves(cases), folder / "curves.png")
     print("\n".join(lines), f"-> {folder}", sep="\n")
 
 
-def run(factory: BodyFactory, options: Options, body: tuple[float, ...], seed: int) -> Case:
-    """One body and seed."""
-    folder = RUNS / "finetune" / f"{'-'.join(map(str, body))}-seed-{seed}"
-    design, train = np.array(body), replace(STUDY.config, seed=seed)
+def run(factory: BodyFactory, full: TrainConfig, options: Options, body: tuple[float, ...], seed: int) -> Case:
+    """One body and seed; `full` is the training from scratch."""
+    generalist = RUNS / options.study / "seed-1" / "policy.pt"
+    folder = RUNS / f"{options.study}-finetune" / f"{'-'.join(map(str, body))}-seed-{seed}"
+    design, train = np.array(body), replace(full, seed=seed)
     config = FinetuneConfig(
         num_envs=train.num_envs,
         iterations=int(train.iterations * SHARE),
@@ -132,11 +134,11 @@ def run(factory: BodyFactory, options: Options, body: tuple[float, ...], seed: i
         evaluate_every=5,
         keep_best=True,
     )
-    tuned = finetune(options.generalist, factory, design, config, seed, folder / "tuned", quiet=False)
+    tuned = finetune(generalist, factory, design, config, seed, folder / "tuned", quiet=False)
     scratch = Trainer(factory, train, folder / "scratch", designs=repeat_design(factory, design, train.num_envs))
     scratch.run(f"{name(body)}, seed {seed}")
     policies = {
-        "generalist": load_policy(options.generalist),
+        "generalist": load_policy(generalist),
         "fine-tuned": tuned.policy,
         "from scratch": scratch.policy(),
     }
