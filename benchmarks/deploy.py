@@ -12,8 +12,8 @@ Takes the folder of a finished `codesign run`. Four measurements, one thread eac
 Targets: eager torch over onnxruntime at least 2; whole tick under 2 ms at the 99th percentile; ten minutes simulated in
 less; 49.95 to 50.05 Hz over 30000 ticks.
 
-    python benchmarks/deploy.py runs/laptop-go2-cost-of-transport
-    python benchmarks/deploy.py runs/laptop-go2-cost-of-transport --simulate 0 --realtime 30000
+    python benchmarks/deploy.py runs/laptop-go2-flat-cost-of-transport
+    python benchmarks/deploy.py runs/laptop-go2-flat-cost-of-transport --simulate 0 --realtime 30000
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def main() -> None:
     torch.set_num_threads(1)
     bundle = load_bundle(options.folder / "bundle")
     student = distill.load_student(
-        options.folder / "student" / "student.pt", load_policy(options.folder / "student" / "teacher.pt")
+        options.folder / "student" / "student" / "student.pt", load_policy(options.folder / "teacher.pt")
     )
     print(f"{bundle.name}, {bundle.observation_size} inputs, {options.ticks} ticks a run, {options.runs} runs of each")
     times = compare_networks(bundle, student, options)

@@ -32,6 +32,7 @@ from locorl.interfaces import Array
 from study import RUNS, markdown_table, paired_difference, paired_ratio, unseen_bodies, write_results
 
 from legged_codesign.adapt import Adaptation, AdaptConfig
+from legged_codesign.config import DistilConfig
 from legged_codesign.pretrained import shipped
 from legged_codesign.stages import write_text
 from legged_codesign.student_run import StudentConfig, StudentRun
@@ -50,7 +51,9 @@ class Options:
 
     seeds: tuple[int, ...] = (1,)
     """Of the students."""
-    config: StudentConfig = field(default_factory=lambda: StudentConfig(imitation=distill.TrainConfig(iterations=256)))
+    config: StudentConfig = field(
+        default_factory=lambda: StudentConfig(distil=DistilConfig(imitation=distill.TrainConfig(iterations=256)))
+    )
     """Of each student; ground and seed are put in."""
     bodies: TrainConfig = field(
         default_factory=lambda: TrainConfig(
@@ -76,10 +79,11 @@ def main() -> None:
         for seed, row in known.items()
     ]
     names = next(iter(known.values()))
+    robots = options.config.distil.judged.robots_per_body
     lines = [
         f"Asked: at least {SHARE:.0%} of the teacher's return, survival within {POINTS:g} points, at most "
-        f"{MINUTES:g} minutes of training. {options.config.judged.robots_per_body} robots on the nominal Go2 with the "
-        "same commands and starts, 20 s, spread over all tiles; 95 % intervals are bootstraps over the robots, paired.",
+        f"{MINUTES:g} minutes of training. {robots} robots on the nominal Go2 with the same "
+        "commands and starts, 20 s, spread over all tiles; 95 % intervals are bootstraps over the robots, paired.",
         "",
         *markdown_table(COLUMNS, rows),
         "",

@@ -24,6 +24,7 @@ from locorl.interfaces import Array
 from matplotlib.figure import Figure
 from study import RUNS, markdown_table, paired_difference, paired_ratio, write_results
 
+from legged_codesign.config import DistilConfig
 from legged_codesign.report.style import MUTED, figure, label
 from legged_codesign.student_run import StudentConfig, StudentRun
 
@@ -47,11 +48,13 @@ class Options:
             robot="lite3",
             policy="lite3-parkour",
             terrain=("hurdles",),
-            depth=True,
-            robots=128,
-            vision=distill.VisionTrainConfig(iterations=600, updates=16, batch=64),
-            # fast enough for the longest course
-            judged=EvalConfig(seconds=20.0, vx=(0.9, 1.0), robots_per_body=200, reset_joint=0.1, seed=4242),
+            distil=DistilConfig(
+                depth=True,
+                robots=128,
+                vision=distill.VisionTrainConfig(iterations=600, updates=16, batch=64),
+                # fast enough for the longest course
+                judged=EvalConfig(seconds=20.0, vx=(0.9, 1.0), robots_per_body=200, reset_joint=0.1, seed=4242),
+            ),
         )
     )
     """Of each student; the seed is put in."""
@@ -62,7 +65,7 @@ def main() -> None:
     options = tyro.cli(Options, description=__doc__)
     found = {seed: both(options, seed) for seed in options.seeds}
     rows = [row for seed, variants in found.items() for row in table_rows(seed, variants)]
-    robots = options.config.judged.robots_per_body
+    robots = options.config.distil.judged.robots_per_body
     lines = [
         f"Asked: at least {SHARE:.0%} of the teacher's success within {MINUTES:g} minutes of training; the blind one "
         f"at least {POINTS:g} points worse, on as many samples; heading error below {HEADING:g} rad, and predictions "
@@ -87,7 +90,8 @@ def both(options: Options, seed: int) -> dict[str, dict[str, Any]]:
     """A seeing student and a blind one of the same teacher, or what is left of them."""
     seeing = replace(options.config, seed=seed)
     first = StudentRun(seeing, FOLDER / f"seeing-seed-{seed}")
-    covered = replace(seeing, vision_student=replace(seeing.vision_student, blind=True))
+    vision = replace(seeing.distil.vision_student, blind=True)
+    covered = replace(seeing, distil=replace(seeing.distil, vision_student=vision))
     second = StudentRun(covered, FOLDER / f"blind-seed-{seed}", prepared=first.folder)
     found = {}
     for name, run in zip(ALIKE, (first, second), strict=True):

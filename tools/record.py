@@ -1,6 +1,6 @@
 """Record a finished run under results/: its small files, and how to make it again.
 
-python tools/record.py runs/laptop-go2-cost-of-transport go2-flat-cost-of-transport "make demo"
+python tools/record.py runs/laptop-go2-flat-cost-of-transport go2-flat-cost-of-transport "make demo"
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ def evaluation_config(score: ScoreConfig, seed: int) -> EvalConfig:
     """The protocol under which bodies are scored; equal seeds give equal starts on every body."""
     return EvalConfig(
         seconds=score.seconds,
-        vx=(score.speed, score.speed),
+        vx=score.vx,
         settle=min(2.0, score.seconds / 3),
         robots_per_body=score.robots,
         reset_joint=0.1,
@@ -34,16 +34,16 @@ def robot_scores(result: Evaluation, objective: Objective, score: ScoreConfig) -
 
     `return` is eq. 9. The two costs are negated. Cost of transport is positive joint work over weight and
     way; energy is positive joint work in joules over the episode (eq. 10 times the time step). PENALTY times
-    the tracking error beyond the limit is added to either, and a robot that fell, or is worse than CAP, counts
-    CAP: standing still or falling early does not pay.
+    the tracking error beyond the limit is added to either, and a robot that fell, did not come through its course,
+    or is worse than CAP, counts CAP: standing still or falling early does not pay.
     """
     if objective == "return":
         return result.returns
     # joules become a cost of transport at the commanded way, so that one cap serves both
-    way = result.command * score.seconds
+    way = result.commanded_distance
     cost = result.cost_of_transport if objective == "cost-of-transport" else result.energy / (result.weight * way)
     excess = np.maximum(result.tracking_error - score.max_error, 0.0)
-    cost = np.minimum(np.where(result.survived, cost + PENALTY * excess, CAP), CAP)
+    cost = np.minimum(np.where(result.through, cost + PENALTY * excess, CAP), CAP)
     return -cost if objective == "cost-of-transport" else -cost * result.weight * way
 
 

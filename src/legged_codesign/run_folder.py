@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import yaml
 from locorl.config import differences, from_dict, to_dict
@@ -23,9 +23,14 @@ class Files:
     folder: Path
 
     @property
+    def training(self) -> Path:
+        """Folder of the pre-training."""
+        return self.folder / "pretrain"
+
+    @property
     def generalist(self) -> Path:
-        """Pre-trained policy."""
-        return self.folder / "pretrain" / "policy.pt"
+        """Policy that every trial starts from, on the run's task."""
+        return self.training / "generalist.pt"
 
     @property
     def screening(self) -> Path:
@@ -48,6 +53,21 @@ class Files:
         return self.folder / "choice.json"
 
     @property
+    def best_urdf(self) -> Path:
+        """The chosen body."""
+        return self.folder / "best.urdf"
+
+    @property
+    def teacher(self) -> Path:
+        """The chosen body's policy."""
+        return self.folder / "teacher.pt"
+
+    @property
+    def student(self) -> Path:
+        """Everything about the student but its bundle."""
+        return self.folder / "student"
+
+    @property
     def bundle(self) -> Path:
         """The student, exported."""
         return self.folder / "bundle"
@@ -58,13 +78,32 @@ class Files:
         return self.folder / "rollout.mcap"
 
     @property
+    def rollout(self) -> Path:
+        """Summary of the student's run."""
+        return self.folder / "rollout.json"
+
+    @property
     def report(self) -> Path:
         """The page to read."""
         return self.folder / "report.html"
 
 
-def bind(folder: Path, config: RunConfig) -> None:
+class Bound(Protocol):
+    """A configuration that begins with a robot."""
+
+    @property
+    def robot(self) -> str:
+        """Name of an installed robot, or path of a URDF."""
+        ...
+
+
+def bind(folder: Path, config: Bound, what: str = "run") -> None:
     """Write config.yaml before anything starts, or make sure that the folder is this run's.
+
+    Args:
+        folder: of the run.
+        config: all that determines it, a dataclass.
+        what: the folder holds, for messages.
 
     Raises:
         RunError: the folder holds another run, its configuration is damaged, or the robot's file has changed.
@@ -76,10 +115,10 @@ def bind(folder: Path, config: RunConfig) -> None:
         changes = differences(stored["config"], mine)
         if changes:
             raise RunError(
-                f"{folder} holds a run with another configuration; choose another --folder or delete it.\n  "
+                f"{folder} holds a {what} with another configuration; choose another --folder or delete it.\n  "
                 + "\n  ".join(changes)
             )
-        _check_robot(folder, config, stored)
+        _check_robot(folder, config.robot, stored)
         return
     content = {"config": mine, "robot_sha256": file_hash(config.robot), "provenance": provenance()}
     write_text(path, yaml.safe_dump(content, sort_keys=False))
@@ -96,15 +135,13 @@ def read_config(folder: Path) -> RunConfig:
         raise RunError(f"{folder} holds no run: {path} is missing")
     stored = _stored(path)
     config = from_dict(RunConfig, stored["config"])
-    _check_robot(folder, config, stored)
+    _check_robot(folder, config.robot, stored)
     return config
 
 
-def _check_robot(folder: Path, config: RunConfig, stored: Mapping[str, Any]) -> None:
-    if file_hash(config.robot) != stored.get("robot_sha256"):
-        raise RunError(
-            f"{config.robot} has changed since the run in {folder} began; restore it or choose another --folder"
-        )
+def _check_robot(folder: Path, robot: str, stored: Mapping[str, Any]) -> None:
+    if file_hash(robot) != stored.get("robot_sha256"):
+        raise RunError(f"{robot} has changed since the run in {folder} began; restore it or choose another --folder")
 
 
 def _stored(path: Path) -> Mapping[str, Any]:

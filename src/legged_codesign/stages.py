@@ -40,10 +40,20 @@ class Stage:
     work: Callable[[], None]
 
 
-def run_stages(folder: Path, stages: Sequence[Stage], console: Console) -> None:
-    """Do the stages in order, skipping those whose fingerprint on record is the present one."""
-    for number, stage in enumerate(stages, start=1):
-        title = f"[bold]{number}/{len(stages)} {stage.name}[/bold]"
+def run_stages(
+    folder: Path, stages: Sequence[Stage], console: Console, count: int | None = None, done: int = 0
+) -> None:
+    """Do the stages in order, skipping those whose fingerprint on record is the present one.
+
+    Args:
+        folder: of the run.
+        stages: what to do.
+        console: where to print.
+        count: stages of the whole run, of which these are a part; by default these are all.
+        done: stages before these.
+    """
+    for number, stage in enumerate(stages, start=done + 1):
+        title = f"[bold]{number}/{count or len(stages)} {stage.name}[/bold]"
         marker = folder / "stages" / f"{stage.name}.json"
         mark = _fingerprint(stage)
         if all(output.exists() for output in stage.outputs) and _read_mark(marker) == mark:

@@ -5,32 +5,34 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import distill
 import locorl
 import numpy as np
-import yaml
 from distill.comparison import print_scores, table_of
 from distill.evaluate import MemoryPolicy
 from distill.film import evaluate_on_film
-from locorl import DepthConfig, EvalConfig, LeggedEnv, Policy, TaskConfig, load_policy
+from locorl import LeggedEnv, Policy, TaskConfig, load_policy
 from locorl.adapters.student import StudentEnv
 from locorl.adapters.vision import VisionEnv, with_camera
-from locorl.config import differences, to_dict
+from locorl.config import to_dict
 from locorl.evaluation.evaluate import walking_protocol
 from locorl.interfaces import Array
 from morphgen import BodyFactory
 from rich.console import Console
 
-from legged_codesign.adapt import AdaptConfig, adapt, heading_columns
+from legged_codesign.adapt import adapt, heading_columns
+from legged_codesign.bundle import bundle_spec
+from legged_codesign.config import DistilConfig
 from legged_codesign.pretrained import shipped
 from legged_codesign.provenance import provenance
-from legged_codesign.robots import body_factory
-from legged_codesign.stages import RunError, Stage, locked, run_stages, write_text
-from legged_codesign.student import bundle_spec
+from legged_codesign.robots import BodyConfig, body_factory
+from legged_codesign.run_folder import bind
+from legged_codesign.stages import Stage, locked, run_stages, write_text
+from legged_codesign.tasks import on
 
 _FILMED = 4
 """Robot that is filmed: on a map of ten levels, one of middling difficulty."""
@@ -42,41 +44,21 @@ class StudentConfig:
 
     Attributes:
         robot: name of an installed body factory, or path of a URDF.
-        policy: the generalist to start from: name of a shipped one, such as `go2-rough`, or path of a policy.
+        bodies: how its bodies follow from designs.
+        policy: the policy to start from: name of a shipped one, such as `go2-rough`, or path of a policy.
         design: the body; empty for the nominal one.
-        terrain: kinds of terrain to take instead of those of the generalist's task.
-        depth: whether the student sees.
+        terrain: kinds of terrain to take instead of those of the policy's task.
         seed: of everything random.
-        adapt: the fine-tune that prepares the teacher.
-        robots: that the student is trained with.
-        imitation: training of a blind student.
-        student: its architecture.
-        vision: training of a seeing student.
-        vision_student: its architecture and timing.
-        camera: of a seeing student.
-        judged: how teacher and student are compared; speed, seconds, robots and seed.
+        distil: how the student is made.
     """
 
     robot: str = "go2"
+    bodies: BodyConfig = field(default_factory=BodyConfig)
     policy: str = "go2-flat"
     design: tuple[float, ...] = ()
     terrain: tuple[str, ...] = ()
-    depth: bool = False
     seed: int = 0
-    adapt: AdaptConfig = field(default_factory=AdaptConfig)
-    robots: int = 256
-    imitation: distill.TrainConfig = field(default_factory=distill.TrainConfig)
-    student: distill.StudentConfig = field(default_factory=distill.StudentConfig)
-    vision: distill.VisionTrainConfig = field(default_factory=distill.VisionTrainConfig)
-    vision_student: distill.VisionStudentConfig = field(default_factory=distill.VisionStudentConfig)
-    camera: DepthConfig = field(default_factory=DepthConfig.small)
-    judged: EvalConfig = field(default_factory=lambda: EvalConfig(robots_per_body=100, reset_joint=0.1, seed=4242))
-
-    @property
-    def samples(self) -> int:
-        """Environment steps of the fine-tune and of the student's training."""
-        train = self.vision if self.depth else self.imitation
-        return self.adapt.finetune.samples + train.iterations * train.rollout_steps * self.robots
+    distil: DistilConfig = field(default_factory=DistilConfig)
 
 
 class StudentRun:
@@ -87,10 +69,11 @@ class StudentRun:
         folder: of the run.
         console: where to print.
         prepared: folder of another student, whose teacher, estimator and history encoder are taken as they are.
+        bundle: folder of the bundle; by default `bundle` within `folder`.
 
     Attributes:
-        teacher: the fine-tuned policy.
-        adaptation: its estimator and history encoder.
+        teacher: the policy to imitate: fine-tuned beside ROA, or as it came.
+        adaptation: its estimator and history encoder; there are none without ROA.
         student: the trained student.
         comparison: means and results robot by robot of teacher and student, JSON.
         spec: what the bundle says of the robot, JSON.
@@ -103,19 +86,25 @@ class StudentRun:
     """
 
     def __init__(
-        self, config: StudentConfig, folder: Path, console: Console | None = None, prepared: Path | None = None
+        self,
+        config: StudentConfig,
+        folder: Path,
+        console: Console | None = None,
+        prepared: Path | None = None,
+        bundle: Path | None = None,
     ) -> None:
         self.config, self.folder, self.console = config, folder, console or Console()
-        self.factory: BodyFactory = body_factory(config.robot)
+        self.factory: BodyFactory = body_factory(config.robot, config.bodies)
         self.generalist = shipped(config.policy)
         design = config.design or tuple(self.factory.space.nominal)
         self.design: Array = locorl.repeat_design(self.factory, np.asarray(design, dtype=np.float64), 1)[0]
         self._check(load_policy(self.generalist))
         self._prepared = prepared is not None
-        self.teacher, self.adaptation = (prepared or folder) / "teacher.pt", (prepared or folder) / "adaptation.pt"
+        self.teacher = self.generalist if config.distil.adapt is None else (prepared or folder) / "teacher.pt"
+        self.adaptation = (prepared or folder) / "adaptation.pt"
         self.student = folder / "student" / "student.pt"
         self.comparison, self.spec = folder / "comparison.json", folder / "spec.json"
-        self.bundle = folder / "bundle"
+        self.bundle = bundle or folder / "bundle"
 
     def run(self) -> Path:
         """Do all stages, or what is left of them; returns the folder of the bundle.
@@ -123,48 +112,47 @@ class StudentRun:
         Raises:
             RunError: the folder belongs to another configuration, is in use or cannot be written to.
         """
-        settings: Mapping[str, object] = to_dict(self.config)
-        self.console.print(f"[bold]{self.folder}[/bold]: {self.config.samples / 1e6:.1f} M environment steps")
+        samples = self.config.distil.samples / 1e6
+        self.console.print(f"[bold]{self.folder}[/bold]: {samples:.1f} M environment steps")
         with locked(self.folder):
-            self._bind(settings)
-            stages = (
-                Stage("adapt", settings, [self.generalist], [self.teacher, self.adaptation], self.adapt),
-                Stage("distil", settings, [self.teacher, self.adaptation], [self.student], self.distil),
-                Stage(
-                    "compare", settings, [self.teacher, self.adaptation, self.student], [self.comparison], self.compare
-                ),
-                Stage(
-                    "export",
-                    settings,
-                    [self.teacher, self.student, self.comparison],
-                    [self.spec, self.bundle / "manifest.json"],
-                    self.export,
-                ),
-            )
-            run_stages(self.folder, stages[1:] if self._prepared else stages, self.console)
+            bind(self.folder, self.config, "student")
+            run_stages(self.folder, self.stages(), self.console)
         return self.bundle
+
+    def stages(self) -> list[Stage]:
+        """What there is to do, in order."""
+        # the policy counts by what is in it, wherever it lies
+        settings = to_dict(replace(self.config, policy=""))
+        adapted = [] if self.config.distil.adapt is None else [self.adaptation]
+        stages = [
+            Stage("distil", settings, [self.teacher, *adapted], [self.student], self.distil),
+            Stage("compare", settings, [self.teacher, *adapted, self.student], [self.comparison], self.compare),
+            Stage(
+                "export",
+                settings,
+                [self.teacher, self.student, self.comparison],
+                [self.spec, self.bundle / "manifest.json"],
+                self.export,
+            ),
+        ]
+        if adapted and not self._prepared:
+            stages.insert(0, Stage("adapt", settings, [self.generalist], [self.teacher, *adapted], self.adapt))
+        return stages
 
     def _check(self, generalist: Policy) -> None:
         """Refuse at once what would fail after minutes of work."""
         generalist.check_space(self.factory.name, self.factory.space)
-        card = generalist.card
-        led = len(heading_columns(card.task, len(card.design_names))) > 0
-        if led and not self.config.depth:
-            raise ValueError(
-                f"'{self.config.policy}' is told the way to go, which no sensor gives: a student must see; add --depth"
-            )
-        if self.config.depth and not led:
-            raise ValueError(
-                f"'{self.config.policy}' follows commands alone and has no way to find: leave --depth out, or take a "
-                "policy for courses, such as lite3-parkour"
-            )
+        check_student(generalist.card.task, self.config.distil, f"'{self.config.policy}'")
 
     def adapt(self) -> None:
         """Fine-tune the generalist on the body, with estimator and ROA, and report what the latent knows."""
         config, start = self.config, load_policy(self.generalist)
+        if config.distil.adapt is None:
+            raise RuntimeError("this student's teacher is taken as it is: nothing adapts it")
         _belong(self.folder / "adapt", [self.generalist])
         start = Policy(start.model, replace(start.card, task=self._ground(start.card.task)))
-        teacher, networks = adapt(self.folder / "adapt", self.factory, start, self.design, config.adapt, config.seed)
+        tuning = config.distil.adapt
+        teacher, networks = adapt(self.folder / "adapt", self.factory, start, self.design, tuning, config.seed)
         teacher.save(self.teacher)
         distill.save_adaptation(self.adaptation, networks)
         robots = np.tile(self.design, (max(128, 2 * networks.latent_dim), 1))
@@ -178,16 +166,17 @@ class StudentRun:
 
     def distil(self) -> None:
         """Teach the student."""
-        config, teacher = self.config, load_policy(self.teacher)
+        config, seed, teacher = self.config.distil, self.config.seed, self._teacher()
         folder = self.student.parent
-        _belong(folder, [self.teacher, self.adaptation])
+        adapted = [] if config.adapt is None else [self.adaptation]
+        _belong(folder, [self.teacher, *adapted])
         env = self._env(self._onboard(teacher.card.task), config.robots)
         if isinstance(env, VisionEnv):
-            vision = replace(config.vision, seed=config.seed)
+            vision = replace(config.vision, seed=seed, roa=config.vision.roa and bool(adapted))
             networks = distill.load_adaptation(self.adaptation) if vision.roa else None
             distill.train_vision(env, teacher, folder, vision, config.vision_student, networks)
         else:
-            distill.train(env, teacher, folder, replace(config.imitation, seed=config.seed), config.student)
+            distill.train(env, teacher, folder, replace(config.imitation, seed=seed), config.student)
 
     def compare(self) -> None:
         """Score teacher and student on the same starts, and the teacher on estimated velocity and history latent."""
@@ -209,25 +198,23 @@ class StudentRun:
         Args:
             video: film of one robot under each, as an .mp4; None makes none.
         """
-        config, teacher = self.config, load_policy(self.teacher)
-        judged = walking_protocol(teacher.card.task, config.judged)
-        env = self._env(judged, config.judged.robots_per_body, spread=True)
-        adapted = distill.AdaptedTeacher(teacher, distill.load_adaptation(self.adaptation))
-        policies: dict[str, MemoryPolicy | distill.Teacher] = {
-            "teacher": teacher,
-            "teacher on history latent": adapted,
-            "student": self._policy(teacher, env),
-        }
-        steps, seed = round(config.judged.seconds / env.env.dt), config.judged.seed
+        protocol, teacher = self.config.distil.judged, self._teacher()
+        env = self._env(walking_protocol(teacher.card.task, protocol), protocol.robots_per_body, spread=True)
+        policies: dict[str, MemoryPolicy | distill.Teacher] = {"teacher": teacher}
+        if self.config.distil.adapt is not None:
+            networks = distill.load_adaptation(self.adaptation)
+            policies["teacher on history latent"] = distill.AdaptedTeacher(teacher, networks)
+        policies["student"] = self._policy(teacher, env)
+        steps, seed = round(protocol.seconds / env.env.dt), protocol.seed
         if video is not None:
             return evaluate_on_film(env, policies, steps, seed, video, min(_FILMED, env.num_envs - 1))
         return {name: distill.evaluate(env, policy, steps, seed) for name, policy in policies.items()}
 
     def export(self) -> None:
         """Write what the bundle says of the robot, and the bundle."""
-        config, teacher = self.config, load_policy(self.teacher)
+        config, teacher = self.config.distil, self._teacher()
         training = {
-            "config": to_dict(config),
+            "config": to_dict(self.config),
             "comparison": json.loads(self.comparison.read_text(encoding="utf-8"))["means"],
             "provenance": provenance(),
         }
@@ -245,41 +232,47 @@ class StudentRun:
 
     def _env(self, task: TaskConfig, robots: int, spread: bool = False) -> StudentEnv:
         """Robots with the chosen body, with cameras if the student sees."""
-        if self.config.depth:
-            task = with_camera(task, self.config.camera, task.observation.history)
+        config = self.config.distil
+        if config.depth:
+            task = with_camera(task, config.camera, task.observation.history)
         designs = np.tile(self.design, (robots, 1))
-        env = LeggedEnv(self.factory, designs, task, seed=self.config.seed)
-        return VisionEnv(env, spread) if self.config.depth else StudentEnv(env, spread)
+        env = LeggedEnv(self.factory, designs, task, seed=self.config.seed, simulator=config.simulator)
+        return VisionEnv(env, spread) if config.depth else StudentEnv(env, spread)
+
+    def _teacher(self) -> Policy:
+        """The teacher on the ground of this student."""
+        teacher = load_policy(self.teacher)
+        return Policy(teacher.model, replace(teacher.card, task=self._ground(teacher.card.task)))
 
     def _ground(self, task: TaskConfig) -> TaskConfig:
         """The task on the chosen kinds of terrain."""
-        kinds = self.config.terrain
-        if not kinds:
-            return task
-        return replace(task, terrain=replace(task.terrain, kinds=kinds, columns=len(kinds)))
+        return on(task, self.config.terrain) if self.config.terrain else task
 
     @staticmethod
     def _onboard(task: TaskConfig) -> TaskConfig:
         """The task without the observed history: a student remembers by itself."""
         return replace(task, observation=replace(task.observation, history=0))
 
-    def _bind(self, settings: Mapping[str, object]) -> None:
-        """Write config.yaml before anything starts, or make sure that the folder is this run's."""
-        path = self.folder / "config.yaml"
-        if path.exists():
-            try:
-                stored = yaml.safe_load(path.read_text(encoding="utf-8"))
-                changes = differences(stored["config"], settings)
-            except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
-                raise RunError(f"{path} is damaged ({error}); restore it or choose another --folder") from error
-            if changes:
-                raise RunError(
-                    f"{self.folder} holds another student; choose another --folder or delete it.\n  "
-                    + "\n  ".join(changes)
-                )
-            return
-        content = {"config": settings, "provenance": provenance()}
-        write_text(path, yaml.safe_dump(content, sort_keys=False))
+
+def check_student(task: TaskConfig, config: DistilConfig, policy: str) -> None:
+    """Refuse a student that cannot know the way, or that has no way to find.
+
+    Args:
+        task: of the teacher.
+        config: the student.
+        policy: name of the teacher, for messages.
+
+    Raises:
+        ValueError: says what to choose instead.
+    """
+    led = len(heading_columns(task, 0)) > 0
+    if led and not config.depth:
+        raise ValueError(f"{policy} is told the way to go, which no sensor gives: a student must see; add --depth")
+    if config.depth and not led:
+        raise ValueError(
+            f"{policy} follows commands alone and has no way to find: leave --depth out, or take a task or policy for "
+            "courses, such as lite3-parkour"
+        )
 
 
 def _belong(folder: Path, origins: Sequence[Path]) -> None:

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import torch
 from codesign_bo import EvalRequest, EvalResult
 from locorl import CheckpointError, Evaluation, Policy, evaluate, finetune
-from locorl.interfaces import Array, BodyFactory
+from locorl.interfaces import Array
+from morphgen import BodyFactory
 
 from legged_codesign.config import RunConfig
 from legged_codesign.objective import evaluation_config, robot_scores
+from legged_codesign.robots import body_factory
 from legged_codesign.stages import write_text
 
 
@@ -24,26 +28,48 @@ class FineTuneAndScore:
     fine-tune never makes a body worse; it is chosen on starts of its own, as the better of two noisy scores is too
     good on average. Writes `policy.pt` and `result.json` into the request's folder; a request that was already
     answered there is not done again.
+
+    It can be pickled, and carries all that it needs to another process or machine but the robot's own URDF, and the
+    folder of the request, which is to be seen from everywhere.
+
+    Attributes:
+        config: the run.
+        generalist: the policy to start from, on the run's task.
+        threads: of simulation and learning; None takes every core.
     """
 
-    factory: BodyFactory
-    generalist: Policy
     config: RunConfig
+    generalist: Policy
+    threads: int | None = None
+
+    @cached_property
+    def factory(self) -> BodyFactory:
+        """Makes the bodies; in each process anew."""
+        return body_factory(self.config.robot, self.config.bodies)
+
+    def __getstate__(self) -> dict[str, object]:
+        """Everything but the factory."""
+        return {name: value for name, value in vars(self).items() if name != "factory"}
 
     def __call__(self, request: EvalRequest) -> EvalResult:
         """Score one body."""
         stored = _stored(request)
         if stored is not None:
             return stored
-        config = self.config
+        if self.threads is not None:
+            torch.set_num_threads(self.threads)
+        config, threads = self.config, self.threads
+        simulator = config.finetune.simulator
         design = np.array([request.params[name] for name in self.factory.space.names])
-        tuned = finetune(self.generalist, self.factory, design, config.finetune, request.seed)
+        tuned = finetune(self.generalist, self.factory, design, config.finetune, request.seed, threads=threads)
         candidates = {"generalist": self.generalist, "fine-tuned": tuned.policy}
         task = tuned.policy.card.task
 
         def score(name: str, seed: int) -> tuple[Evaluation, Array]:
             protocol = evaluation_config(config.score, seed)
-            result = evaluate(candidates[name], self.factory, design[None], task, protocol)
+            result = evaluate(
+                candidates[name], self.factory, design[None], task, protocol, threads, simulator=simulator
+            )
             return result, robot_scores(result, config.objective, config.score)[0]
 
         other_starts = int(np.random.SeedSequence((request.seed, 1)).generate_state(1)[0])
@@ -74,8 +100,8 @@ class FineTuneAndScore:
 def facts(result: Evaluation) -> dict[str, float]:
     """What stands beside a score: return, tracking, survival, way and energy, as finite numbers."""
     summary = result.summary()
-    names = ("return", "tracking_error", "survived", "distance", "energy", "cost_of_transport")
-    return {name: summary[name] for name in names if np.isfinite(summary[name])} | {
+    names = ("return", "tracking_error", "survived", "succeeded", "distance", "energy", "cost_of_transport")
+    return {name: summary[name] for name in names if np.isfinite(summary.get(name, np.nan))} | {
         "mean_power": float(result.mean_power.mean())
     }
 

@@ -124,7 +124,7 @@ def test_garbage_in_the_study(copy: Path, codesign: Codesign, snapshot: Callable
 
 @pytest.mark.parametrize("size", [0, 1000], ids=["empty", "truncated"])
 def test_truncated_generalist(size: int, copy: Path, codesign: Codesign, snapshot: Callable) -> None:
-    policy = copy / "pretrain" / "policy.pt"
+    policy = copy / "pretrain" / "generalist.pt"
     whole = policy.read_bytes()
     policy.write_bytes(whole[:size])
     before = snapshot(copy)
@@ -147,7 +147,7 @@ def test_altered_bundle_is_not_run(copy: Path, codesign: Codesign) -> None:
 
 def test_study_of_another_generalist(copy: Path, codesign: Codesign, untrained) -> None:
     """Old trials must not pass for those of a new generalist."""
-    untrained.save(copy / "pretrain" / "policy.pt")
+    untrained.save(copy / "pretrain" / "generalist.pt")
     refused(codesign("run", "--preset", "smoke", "--folder", copy), "another generalist", "--folder")
     assert (copy / "study.sqlite").exists()
 

@@ -86,7 +86,7 @@ def test_the_comparison_can_fail(finished_return) -> None:
         pytest.param("trials/0001/result.json", "trials.json", id="search"),
         pytest.param("pretrain/checkpoint.pt", "screening.json", id="pretrain", marks=pytest.mark.slow),
         pytest.param("trials/0000/confirm/00/result.json", "choice.json", id="confirm", marks=pytest.mark.slow),
-        pytest.param("student/checkpoint.pt", "bundle", id="distil", marks=pytest.mark.slow),
+        pytest.param("student/student/checkpoint.pt", "bundle", id="distil", marks=pytest.mark.slow),
         pytest.param("rollout.partial.mcap", "rollout.json", id="deploy", marks=pytest.mark.slow),
         pytest.param("stages/deploy.json", "report.html", id="report", marks=pytest.mark.slow),
     ],

@@ -43,7 +43,7 @@ def test_it_says_where_the_results_are(finished, folder: Path) -> None:
 
 def test_it_predicts_its_cost_before_it_starts(finished) -> None:
     prediction = finished.output.index("M environment steps, about")
-    assert prediction < finished.output.index("1/7 pretrain")
+    assert prediction < finished.output.index("1/9 pretrain")
 
 
 def test_config_is_on_disk_resolved(folder: Path) -> None:
@@ -211,7 +211,14 @@ def test_report_says_the_verdict_and_its_interval(page: _Page, choice: Choice) -
 
 
 def test_same_command_again_does_nothing(finished, folder: Path, run_smoke: Callable) -> None:
-    kept = ("report.html", "study.sqlite", "trials.json", "rollout.mcap", "bundle/manifest.json", "pretrain/policy.pt")
+    kept = (
+        "report.html",
+        "study.sqlite",
+        "trials.json",
+        "rollout.mcap",
+        "bundle/manifest.json",
+        "pretrain/generalist.pt",
+    )
     before = {name: (folder / name).stat().st_mtime_ns for name in kept}
     again = run_smoke(folder)
     assert again.code == 0, again.output

@@ -9,7 +9,7 @@ from locorl import EvalConfig, Evaluation
 from legged_codesign.config import ScoreConfig
 from legged_codesign.objective import CAP, PENALTY, evaluation_config, physical, robot_scores
 
-SCORE = ScoreConfig(speed=0.5, seconds=10.0, robots=4, max_error=0.1)
+SCORE = ScoreConfig(vx=(0.5, 0.5), seconds=10.0, robots=4, max_error=0.1)
 WEIGHT = 150.0  # N
 WAY = 5.0  # m, commanded
 
@@ -28,8 +28,8 @@ def episode(
     shape = work.shape
     return Evaluation(
         designs=np.ones((1, 4)),
-        config=EvalConfig(),
-        command=np.full(shape, SCORE.speed),
+        config=EvalConfig(seconds=SCORE.seconds),
+        command=np.full(shape, SCORE.vx[0]),
         weight=np.full(shape, WEIGHT),
         survived=np.ones(shape, bool) if survived is None else np.array([survived]),
         returns=np.zeros(shape) if returns is None else np.array([returns]),

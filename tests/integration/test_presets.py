@@ -6,7 +6,7 @@ import pytest
 from locorl.config import config_hash, from_dict, to_dict
 
 from legged_codesign import RunConfig, preset
-from legged_codesign.cli import Run, parse_bounds, parse_fixed
+from legged_codesign.commands.run import Run, parse_bounds, parse_fixed
 from legged_codesign.config import SearchConfig
 
 
@@ -45,7 +45,7 @@ def test_fine_tuning_weighs_power_where_the_search_does(name: str, objective) ->
 
 
 def test_unknown_preset() -> None:
-    with pytest.raises(ValueError, match=r"'desktop'.*smoke, laptop"):
+    with pytest.raises(ValueError, match=r"'desktop'.*smoke, laptop, workstation, paper"):
         preset("desktop")
 
 

@@ -12,8 +12,9 @@ import yaml
 from morphgen import BodyFactory
 from rich.console import Console
 
-from legged_codesign import RunConfig, cli, pipeline
-from legged_codesign.cli import Run
+from legged_codesign import RunConfig, pipeline
+from legged_codesign.commands.run import Run
+from legged_codesign.machines import Machines
 from legged_codesign.robots import body_factory
 from legged_codesign.run_folder import bind, read_config
 from legged_codesign.stages import RunError
@@ -43,18 +44,18 @@ def robot(go2: BodyFactory, design: np.ndarray, tmp_path: Path, monkeypatch: pyt
 def test_the_run_is_named_after_the_file(robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     started = []
 
-    def run(config: RunConfig, folder: Path, console: Console) -> None:
+    def run(config: RunConfig, folder: Path, console: Console, machines: Machines, processes: int) -> None:
         started.append((config, folder))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(pipeline, "run", run)
     for name in (robot, "go2"):
         with pytest.raises(KeyboardInterrupt):
-            cli.Run(preset="smoke", robot=name).run()
+            Run(preset="smoke", robot=name).run(Console())
     (mine, folder), (builtin, default) = started
-    assert folder == Path("runs/smoke-wolf-cost-of-transport")
+    assert folder == Path("runs/smoke-wolf-flat-cost-of-transport")
     assert mine.robot == str(tmp_path / "mine/wolf.urdf")
-    assert (builtin.robot, default) == ("go2", Path("runs/smoke-go2-cost-of-transport"))
+    assert (builtin.robot, default) == ("go2", Path("runs/smoke-go2-flat-cost-of-transport"))
 
 
 def test_the_factory_is_named_after_the_file(robot: str) -> None:

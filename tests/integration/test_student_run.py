@@ -18,22 +18,26 @@ from locorl.terrain.map import TerrainMap
 
 from legged_codesign import cli
 from legged_codesign.adapt import Adaptation, AdaptConfig, heading_columns
+from legged_codesign.commands import student
+from legged_codesign.config import DistilConfig
 from legged_codesign.pretrained import shipped
 from legged_codesign.scene import training_scene
 from legged_codesign.stages import RunError
 from legged_codesign.student_run import StudentConfig, StudentRun
 
-TINY = StudentConfig(
-    adapt=AdaptConfig(
-        finetune=FinetuneConfig(num_envs=8, iterations=2, ppo=PPOConfig(steps=6, minibatches=2, epochs=1)),
-        networks=distill.AdaptationConfig(history=5, frame_features=8, channels=(8,), features=16, estimator=(16,)),
-    ),
+ADAPT = AdaptConfig(
+    finetune=FinetuneConfig(num_envs=8, iterations=2, ppo=PPOConfig(steps=6, minibatches=2, epochs=1)),
+    networks=distill.AdaptationConfig(history=5, frame_features=8, channels=(8,), features=16, estimator=(16,)),
+)
+DISTIL = DistilConfig(
+    adapt=ADAPT,
     robots=8,
     imitation=distill.TrainConfig(iterations=2, rollout_steps=6, segment=1, updates=2, batch=32, ring_rollouts=2),
     vision=distill.VisionTrainConfig(iterations=2, rollout_steps=10, segment=1, updates=1, batch=8),
     judged=EvalConfig(seconds=0.6, settle=0.1, robots_per_body=6, reset_joint=0.1, seed=3),
 )
-DEPTH = replace(TINY, robot="lite3", policy="lite3-parkour", terrain=("hurdles",), depth=True)
+TINY = StudentConfig(distil=DISTIL)
+DEPTH = StudentConfig("lite3", policy="lite3-parkour", terrain=("hurdles",), distil=replace(DISTIL, depth=True))
 
 
 # ---------------------------------------------------------------- the ground of the bundle
@@ -122,7 +126,7 @@ def test_a_finished_run_is_left_alone_and_a_stage_that_lost_its_files_is_done_ag
 
 @pytest.mark.slow
 def test_a_second_student_of_the_same_teacher_takes_it_over(done: StudentRun, tmp_path: Path) -> None:
-    other = StudentRun(replace(done.config, robots=4), tmp_path / "other", prepared=done.folder)
+    other = StudentRun(replace(done.config, distil=replace(DISTIL, robots=4)), tmp_path / "other", prepared=done.folder)
     other.run()
     assert not (other.folder / "adapt").exists()
     assert other.teacher == done.teacher
@@ -142,9 +146,9 @@ def test_a_seeing_student_of_the_shipped_parkour_policy(tmp_path: Path) -> None:
 
 def test_what_cannot_work_is_refused_before_anything_starts(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="must see; add --depth"):
-        StudentRun(replace(DEPTH, depth=False), tmp_path / "a")
+        StudentRun(replace(DEPTH, distil=DISTIL), tmp_path / "a")
     with pytest.raises(ValueError, match="leave --depth out"):
-        StudentRun(replace(TINY, depth=True), tmp_path / "a")
+        StudentRun(replace(TINY, distil=replace(DISTIL, depth=True)), tmp_path / "a")
     with pytest.raises(ValueError, match="trained on 'go2'"):
         StudentRun(replace(TINY, robot="lite3"), tmp_path / "a")
     with pytest.raises(ValueError, match="not in"):
@@ -156,7 +160,9 @@ def test_what_cannot_work_is_refused_before_anything_starts(tmp_path: Path) -> N
 
 def test_the_command_stands_for_a_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr(cli, "StudentRun", lambda config, folder, console: asked.append((config, folder)) or _Nothing())
+    monkeypatch.setattr(
+        student, "StudentRun", lambda config, folder, console: asked.append((config, folder)) or _Nothing()
+    )
     for arguments in (
         "student --robot go2 --policy go2-rough --design 1 1.1 1 1.1 --terrain hills",
         "student --robot lite3 --policy lite3-parkour --depth --iterations 9 --adapt-iterations 5",
@@ -164,9 +170,9 @@ def test_the_command_stands_for_a_configuration(monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr("sys.argv", ["codesign", *arguments.split()])
         cli.main()
     (blind, first), (seeing, second) = asked
-    assert (blind.design, blind.terrain, blind.robots) == ((1.0, 1.1, 1.0, 1.1), ("hills",), 256)
-    assert (seeing.depth, seeing.robots, seeing.vision.iterations) == (True, 128, 9)
-    assert seeing.adapt.finetune.iterations == 5
+    assert (blind.design, blind.terrain, blind.distil.robots) == ((1.0, 1.1, 1.0, 1.1), ("hills",), 256)
+    assert (seeing.distil.depth, seeing.distil.robots, seeing.distil.vision.iterations) == (True, 128, 9)
+    assert seeing.distil.adapt.finetune.iterations == 5
     assert (first.name, second.name) == ("student-go2-rough", "student-lite3-parkour-depth")
 
 
@@ -181,7 +187,7 @@ class _Nothing:
 def test_the_same_hooks_learn_on_many_bodies() -> None:
     """The networks are those of the seed, blank where no sensor looks, and start alike."""
     teacher = load_policy(shipped("lite3-parkour"))
-    first, second = (Adaptation(teacher, TINY.adapt, seed).networks for seed in (1, 1))
+    first, second = (Adaptation(teacher, ADAPT, seed).networks for seed in (1, 1))
     assert first.blank == (6, 7)
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
     env = LeggedEnv(find_factory("lite3"), np.ones((2, 4)), teacher.card.task, seed=1)

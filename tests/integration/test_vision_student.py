@@ -14,6 +14,7 @@ import pytest
 import torch
 from deploy.logs.messages import Sample
 from distill.vision import Convolution
+from legged_codesign.student import bundle_spec
 from locorl import (
     DepthConfig,
     LeggedEnv,
@@ -29,7 +30,6 @@ from locorl import (
 from locorl.adapters.vision import VisionEnv, with_camera
 
 from legged_codesign.pretrained import shipped_policy
-from legged_codesign.student import bundle_spec
 
 ROBOTS, PAST, PROPRIO = 8, 4, 49
 SIZES = distill.AdaptationConfig(history=PAST + 1, frame_features=8, channels=(8,), features=16, estimator=(16,))

@@ -64,7 +64,9 @@ def read_run(folder: Path) -> RunData:
             slices=study.slices(),
             loo=residuals.coverage,
             pretrain=read_metrics(folder / "pretrain" / "metrics.jsonl"),
-            comparison=_json(folder / "student" / "comparison.json"),
+            comparison={
+                name: row["all"] for name, row in _json(folder / "student" / "comparison.json")["means"].items()
+            },
             rollout=_json(folder / "rollout.json"),
             stages=_stages(folder / "metrics.jsonl"),
             provenance=yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))["provenance"],

@@ -17,6 +17,7 @@ from locorl.env.randomisation import no_randomisation
 from locorl.evaluation.gait import Gait, GaitMeter, sole_height
 from locorl.evaluation.legs import Legs
 from locorl.interfaces import Array, BodyFactory
+from locorl.simulation.make import SimulatorConfig
 from locorl.tasks.task import TaskConfig
 
 
@@ -190,6 +191,7 @@ def evaluate(
     task: TaskConfig,
     config: EvalConfig | None = None,
     threads: int | None = None,
+    simulator: SimulatorConfig | None = None,
 ) -> Evaluation:
     """Run `actor` on bodies `designs` (B, d), `config.robots_per_body` robots on each, for one episode.
 
@@ -199,7 +201,9 @@ def evaluate(
     designs = np.asarray(designs, dtype=np.float64)
     bodies, robots = len(designs), config.robots_per_body
     task = walking_protocol(task, config)
-    env = LeggedEnv(factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads)
+    env = LeggedEnv(
+        factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads, simulator=simulator
+    )
     meter, legs = GaitMeter(sole_height(env, robots), env.dt), Legs(env.sim.model, factory.layout.joints)
     steps = round(config.seconds / env.dt)
     settle = round(config.settle / env.dt)

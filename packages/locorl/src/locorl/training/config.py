@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from locorl.bodies.samplers import MorphologyConfig
 from locorl.learning.config import PPOConfig
 from locorl.learning.networks import NetworkConfig
+from locorl.simulation.make import SimulatorConfig
 from locorl.tasks.task import TaskConfig
 
 
@@ -25,6 +26,7 @@ class TrainConfig:
     task: TaskConfig = field(default_factory=TaskConfig)
     ppo: PPOConfig = field(default_factory=PPOConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
+    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
 
     def __post_init__(self) -> None:
         """Refuse impossible settings before anything runs."""

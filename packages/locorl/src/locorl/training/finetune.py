@@ -22,6 +22,7 @@ from locorl.learning.hooks import RolloutHook
 from locorl.learning.networks import ActorCritic
 from locorl.learning.policy import Policy, policy_from
 from locorl.learning.ppo import PPOConfig
+from locorl.simulation.make import SimulatorConfig
 from locorl.tasks.task import TaskConfig
 from locorl.training.metrics import read_metrics
 from locorl.training.trainer import TrainConfig, Trainer
@@ -60,6 +61,7 @@ class FinetuneConfig:
         default_factory=lambda: EvalConfig(seconds=10.0, robots_per_body=64, reset_joint=0.1, seed=9001)
     )
     """The evaluations that choose and stop."""
+    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
 
     def __post_init__(self) -> None:
         """Refuse a patience that nothing feeds."""
@@ -156,6 +158,7 @@ def finetune(
         seed=seed,
         task=_task(start.card.task, config),
         ppo=config.ppo,
+        simulator=config.simulator,
     )
     bodies = repeat_design(factory, design, config.num_envs)
     trainer = Trainer(factory, train, folder, designs=bodies, start=start, threads=threads, hooks=hooks)

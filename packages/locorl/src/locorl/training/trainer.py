@@ -82,7 +82,14 @@ class Trainer:
             else FixedSampler(designs)
         )
         mine = self.sampler.designs[self.share.rows]
-        self.env = LeggedEnv(factory, mine, config.task, seed=self.share.seed(streams[1]), threads=threads)
+        self.env = LeggedEnv(
+            factory,
+            mine,
+            config.task,
+            seed=self.share.seed(streams[1]),
+            threads=threads,
+            simulator=replace(config.simulator, threads=threads),
+        )
         if start is not None:
             start.check_space(factory.name, factory.space)
         torch.manual_seed(streams[2])

@@ -1,63 +1,22 @@
-"""From the chosen body's policy to a bundle: imitation, comparison with the teacher, export."""
+"""What a robot needs to know besides the network, from the body and the policy's task."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo ships no type stubs
 from __future__ import annotations
 
-import json
 import math
-from dataclasses import asdict, replace
-from pathlib import Path
 
 import distill
 import mujoco
-import numpy as np
-from locorl import DepthConfig, EvalConfig, LeggedEnv, Policy, evaluate, flat_scene
+from locorl import DepthConfig, Policy, flat_scene
 from locorl.env.observation import observation_layout
 from locorl.interfaces import Array
 from locorl.tasks.task import TaskConfig
 from morphgen import BodyFactory
 from morphgen.simulation.mjcf import to_mjcf
 
-from legged_codesign.config import DeployConfig, RunConfig
-from legged_codesign.provenance import current_commit, provenance
+from legged_codesign.provenance import current_commit
 from legged_codesign.scene import training_scene
-from legged_codesign.stages import write_text
-
-
-def train_student(
-    folder: Path, factory: BodyFactory, teacher: Policy, design: Array, config: RunConfig
-) -> distill.Student:
-    """Train a student of `teacher` on robots with the body `design`; goes on from what `folder` holds."""
-    env = LeggedEnv(factory, np.tile(design, (config.distill_envs, 1)), teacher.card.task, seed=config.seed)
-    return distill.train(env, teacher, folder, replace(config.imitation, seed=config.seed), config.student)
-
-
-def compare(
-    path: Path,
-    factory: BodyFactory,
-    teacher: Policy,
-    student: distill.Student,
-    design: Array,
-    config: DeployConfig,
-    robots: int = 16,
-) -> None:
-    """Score student and teacher on the same starts at the deployment's command and write the table to `path`."""
-    protocol = EvalConfig(config.seconds, (config.speed, config.speed), min(2.0, config.seconds / 3), robots, 0.1)
-    actors = {"teacher": teacher, "student": distill.StudentPolicy(student, robots)}
-    table = {
-        name: evaluate(actor, factory, design[None], teacher.card.task, protocol).summary()
-        for name, actor in actors.items()
-    }
-    write_text(path, json.dumps(table, indent=1) + "\n")
-
-
-def export(
-    folder: Path, factory: BodyFactory, teacher: Policy, student: distill.Student, design: Array, config: RunConfig
-) -> None:
-    """Write the bundle of `student` for the body `design`."""
-    spec = bundle_spec(factory, teacher, design, {"config": asdict(config), "provenance": provenance()})
-    distill.export_bundle(folder, student, spec)
 
 
 def bundle_spec(

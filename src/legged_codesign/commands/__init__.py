@@ -1,0 +1,1 @@
+"""Subcommands of `codesign`, a module each."""

@@ -1,0 +1,176 @@
+"""`codesign run`: the whole loop."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from locorl import SimulatorConfig
+from morphgen import Rule
+from morphgen.stance.gains import GainKind
+from rich.console import Console
+
+from legged_codesign.adapt import AdaptConfig
+from legged_codesign.config import Objective, RunConfig, SearchMethod
+from legged_codesign.machines import ExecutorName, Machines
+from legged_codesign.presets import on_simulator, preset
+from legged_codesign.robots import BodyConfig, SpaceName, absolute, body_factory, short_name
+from legged_codesign.tasks import TaskName, find_task
+
+HARDWARE_BOUNDS = ("front_shank=1:1.4", "hind_shank=1:1.4")
+HARDWARE_FIXED = ("front_thigh=1", "hind_thigh=1")
+"""Section IV-C1: the thighs of a built robot stay, its shanks can be lengthened."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Do the whole loop; the same command goes on where a killed one stopped."""
+
+    preset: Literal["smoke", "laptop", "workstation", "paper"] = "laptop"
+    """smoke: 3 minutes, proves the plumbing. laptop: at most 15 minutes on 2 cores. workstation: one GPU or many cores,
+    hours. paper: section IV to the letter, for GPUs."""
+    task: TaskName = "flat"
+    """What bodies are searched for: level ground, stairs, hills, a slope, or a course to jump."""
+    robot: str | None = None
+    """An installed robot (entry point group legged.bodies), or the path of a .urdf (then with --from-scratch); by
+    default the paper's for the task, go2 or lite3."""
+    objective: Objective = "cost-of-transport"
+    """return: undiscounted reward (eq. 9). energy: positive joint work (eq. 10). cost-of-transport: the same
+    per weight and way; energies count with tracking as a constraint."""
+    pareto: bool = False
+    """Search for the best compromises of return and energy; the objective still decides among them."""
+    bounds: tuple[str, ...] = ()
+    """Search bounds by parameter, such as front_shank=1:1.4 hind_shank=1:1.4."""
+    fix: tuple[str, ...] = ()
+    """Parameters to hold, such as front_thigh=1 hind_thigh=1."""
+    hardware: bool = False
+    """The bounds of the paper's search on hardware (section IV-C1): shanks alone, 1 to 1.4."""
+    space: SpaceName = "legs"
+    """Design space: the paper's four leg scales, or a wider one (then with --from-scratch)."""
+    rule: Rule | None = None
+    """How thigh and shank scale; None keeps what the robot comes with."""
+    gains: GainKind = "none"
+    """How PD gains follow the body."""
+    gain_coefficients: tuple[float, ...] = ()
+    """Of --gains polynomial."""
+    student: Literal["plain", "adapted", "depth"] | None = None
+    """plain: imitates the body's policy. adapted: estimator and ROA come first. depth: it sees, too. None: what suits
+    the task."""
+    search: SearchMethod = "codesign-bo"
+    """What proposes bodies; the others are baselines (extra legged-codesign-bo[baselines])."""
+    seed: int = 0
+    seeds: tuple[int, ...] = ()
+    """Several runs, one after the other, each in a folder of its own."""
+    trials: int | None = None
+    """Bodies to fine-tune in the search; None keeps the preset's number."""
+    from_scratch: bool = False
+    """Pre-train here instead of starting from the shipped generalist (some 10 minutes more)."""
+    simulator: Literal["cpu", "warp"] = "cpu"
+    """cpu: MuJoCo's thread pool. warp: MuJoCo Warp (extra legged-locorl[gpu])."""
+    device: str = "cuda"
+    """Of the simulator warp."""
+    processes: int = 1
+    """That pre-train together, each on a GPU of its own or its share of the cores (torchrun)."""
+    executor: ExecutorName = "local"
+    """Where trials run: this machine, a Ray cluster, a Slurm cluster."""
+    workers: int = 1
+    """Trials at once."""
+    cpus: int | None = None
+    """Cores of each trial; None shares out those of this machine."""
+    gpus: float = 0.0
+    """GPUs of each trial."""
+    hours: float = 24.0
+    """Longest time of a trial on a worker."""
+    partition: str = ""
+    """Of Slurm."""
+    dry_run: bool = False
+    """Print every number with its source and the predicted cost, and do nothing."""
+    folder: Path | None = None
+    """Run folder; by default runs/<preset>-<robot>-<task>-<objective>."""
+
+    @property
+    def chosen_robot(self) -> str:
+        """The robot, or the one that goes with the task."""
+        return self.robot or find_task(self.task).robot
+
+    def config(self) -> RunConfig:
+        """The configuration that these options stand for."""
+        config = preset(self.preset, self.objective, self.task)
+        more_bounds, more_fixed = (HARDWARE_BOUNDS, HARDWARE_FIXED) if self.hardware else ((), ())
+        search = replace(config.search, method=self.search, pareto=self.pareto)
+        if self.trials is not None:
+            search = replace(search, trials=self.trials)
+        distil = config.distil
+        if self.student is not None:
+            adapt = None if self.student == "plain" else distil.adapt or AdaptConfig()
+            distil = replace(distil, depth=self.student == "depth", adapt=adapt)
+        config = replace(
+            config,
+            robot=absolute(self.chosen_robot),
+            bodies=BodyConfig(self.rule, self.space, self.gains, self.gain_coefficients),
+            seed=self.seed,
+            bounds=tuple(parse_bounds(text) for text in (*more_bounds, *self.bounds)),
+            fixed=tuple(parse_fixed(text) for text in (*more_fixed, *self.fix)),
+            from_scratch=self.from_scratch or config.from_scratch,
+            pretrain=replace(config.pretrain, seed=max(0, self.seed)),
+            search=search,
+            distil=distil,
+        )
+        return config if self.simulator == "cpu" else on_simulator(config, SimulatorConfig(self.simulator, self.device))
+
+    def machines(self) -> Machines:
+        """What the trials run on."""
+        return Machines(self.executor, self.workers, self.cpus, self.gpus, self.hours, self.partition)
+
+    def run(self, console: Console) -> None:
+        """Run, or say what would be done."""
+        from legged_codesign.pipeline import run
+        from legged_codesign.plan import print_plan
+
+        if self.dry_run:
+            config = self.config()
+            print_plan(config, body_factory(config.robot, config.bodies), self.machines(), console)
+            return
+        name = f"{self.preset}-{short_name(self.chosen_robot)}-{self.task}-{self.objective}"
+        folder = self.folder or Path("runs") / name
+        for seed in self.seeds or (self.seed,):
+            one, where = replace(self, seed=seed), folder / f"seed-{seed}" if self.seeds else folder
+            started = time.monotonic()
+            files = run(one.config(), where, console, self.machines(), self.processes)
+            console.print(f"\nfinished in {(time.monotonic() - started) / 60:.1f} min", highlight=False)
+            for what, path in (
+                ("report", files.report),
+                ("bundle", files.bundle),
+                ("log", files.log),
+                ("best URDF", files.best_urdf),
+            ):
+                console.print(f"  {what:<10} {path}", highlight=False, soft_wrap=True)
+
+
+def parse_bounds(text: str) -> tuple[str, float, float]:
+    """`front_shank=1:1.4` as name, low, high.
+
+    Raises:
+        ValueError: with the right form.
+    """
+    name, _, values = text.partition("=")
+    low, _, high = values.partition(":")
+    try:
+        return name, float(low), float(high)
+    except ValueError:
+        raise ValueError(f"--bounds {text}: write it as name=low:high, such as front_shank=1:1.4") from None
+
+
+def parse_fixed(text: str) -> tuple[str, float]:
+    """`front_thigh=1` as name, value.
+
+    Raises:
+        ValueError: with the right form.
+    """
+    name, _, value = text.partition("=")
+    try:
+        return name, float(value)
+    except ValueError:
+        raise ValueError(f"--fix {text}: write it as name=value, such as front_thigh=1") from None

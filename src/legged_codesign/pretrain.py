@@ -1,0 +1,105 @@
+"""The generalist of a run: trained here, by one process or several, or the one that ships.
+
+Several processes, one for each GPU, are those of torchrun, which this module is the program of:
+
+    torchrun --nproc-per-node 4 -m legged_codesign.pretrain runs/paper-go2-steps-return
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from locorl import Policy, Trainer, load_policy
+from locorl.learning.distributed import Processes
+from morphgen import BodyFactory
+
+from legged_codesign.config import RunConfig
+from legged_codesign.pretrained import shipped_policy
+from legged_codesign.robots import body_factory
+from legged_codesign.run_folder import Files, read_config
+from legged_codesign.stages import RunError
+from legged_codesign.tasks import find_task, searched_task
+
+_TRAINED = "policy.pt"
+
+
+def pretrain(config: RunConfig, files: Files, processes: int = 1) -> None:
+    """Write the generalist on the run's own task to `files.generalist`.
+
+    Args:
+        config: the run.
+        files: of the run, whose config.yaml is written.
+        processes: that train together.
+
+    Raises:
+        RunError: one of several processes failed.
+    """
+    if not config.from_scratch:
+        policy = load_policy(shipped_generalist(config))
+    elif processes == 1:
+        policy = train(config, files)
+    else:
+        _train_together(files, processes)
+        policy = load_policy(files.training / _TRAINED)
+    task = searched_task(config.task, policy.card.task)
+    Policy(policy.model, replace(policy.card, task=task)).save(files.generalist)
+
+
+def train(config: RunConfig, files: Files, group: Processes | None = None) -> Policy:
+    """Train the generalist, or the rest of it."""
+    factory = body_factory(config.robot, config.bodies)
+    trainer = Trainer(factory, config.pretrain, files.training, group=group)
+    trainer.run("pre-train")
+    return trainer.policy()
+
+
+def shipped_generalist(config: RunConfig) -> Path:
+    """Path of the policy that ships for the run's robot and task.
+
+    Raises:
+        FileNotFoundError: there is none; pre-train with `--from-scratch`.
+    """
+    return shipped_policy(config.robot, find_task(config.task).shipped)
+
+
+def check_shipped(config: RunConfig, factory: BodyFactory) -> None:
+    """Refuse a run that starts from a shipped generalist, if none ships for its bodies.
+
+    Raises:
+        FileNotFoundError: no generalist ships for robot and task.
+        ValueError: it was trained on another design space.
+    """
+    if config.from_scratch:
+        return
+    try:
+        load_policy(shipped_generalist(config)).check_space(factory.name, factory.space)
+    except ValueError as error:
+        raise ValueError(f"{error}: --from-scratch does") from error
+
+
+def _train_together(files: Files, processes: int) -> None:
+    program = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}"]
+    done = subprocess.run([sys.executable, *program, "-m", "legged_codesign.pretrain", str(files.folder)])
+    if done.returncode:
+        raise RunError(
+            f"pre-training with {processes} processes ended with code {done.returncode}; what they printed stands above"
+        )
+
+
+def main() -> None:
+    """Entry point of each of several processes."""
+    files = Files(Path(sys.argv[1]))
+    config = read_config(files.folder)
+    device = config.pretrain.simulator.device
+    group = Processes.from_environment(device if torch.device(device).type == "cuda" else "cpu")
+    policy = train(config, files, group)
+    if group is None or group.first:
+        policy.save(files.training / _TRAINED)  # a training that had ended before does not write it again
+
+
+if __name__ == "__main__":
+    main()

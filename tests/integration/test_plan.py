@@ -1,0 +1,70 @@
+"""`codesign run --dry-run`: every number with its source, and nothing done."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from locorl.config import to_dict
+
+from legged_codesign.commands.run import Run
+from legged_codesign.plan import settings
+from legged_codesign.presets import preset
+from legged_codesign.robots import body_factory
+
+
+def sources(config) -> dict[str, tuple[object, str]]:
+    return {each.name: (each.value, each.source) for each in settings(config, body_factory(config.robot))}
+
+
+@pytest.mark.parametrize("task", ["steps", "hills", "slope", "highjump", "longjump"])
+def test_the_papers_numbers_name_their_place(task) -> None:
+    found = sources(preset("paper", "return", task))
+    assert found["pretrain.iterations"] == (6000, "section IV-B4")
+    assert found["finetune.iterations"] == (400, "section IV-B4")
+    assert found["search.trials"] == (30, "section IV-A2")
+    assert found["pretrain.ppo.gamma_reg"] == (0.98, "Table III")
+    assert found["body.kp"] == (40.0, "section IV-A2")
+    assert found["body.low"] == ([0.6] * 4, "section IV-A1")
+    weights = {name: source for name, (_, source) in found.items() if name.startswith("pretrain.task.reward.")}
+    assert len(weights) > 20
+    assert set(weights.values()) == {"Table I"}
+
+
+def test_what_differs_from_the_paper_says_so() -> None:
+    found = sources(preset("laptop", "return", "steps"))
+    assert found["finetune.iterations"] == (16, "ours; 400 by section IV-B4")
+    assert found["pretrain.ppo.gamma_reg"] == (0.98, "Table III")
+    assert found["pretrain.save_every"][1] == "ours"
+
+
+def test_every_number_is_there() -> None:
+    config = preset("paper", "energy", "highjump")
+    text = json.dumps(to_dict(config))
+    leaves = text.count(": ") - text.count(": {")
+    listed = [each for each in settings(config, body_factory(config.robot)) if not each.name.startswith("body.")]
+    # dictionaries within lists are shown whole
+    nested = sum(str(each.value).count("': ") for each in listed)
+    assert len(listed) + nested == leaves
+
+
+@pytest.mark.slow
+def test_dry_run_prints_and_does_nothing(codesign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    code, output = codesign("run", "--preset", "laptop", "--dry-run", "--folder", tmp_path / "run")
+    assert code == 0
+    assert "Table III" in output
+    assert "GB of memory" in output
+    assert "GB of disk" in output
+    assert not (tmp_path / "run").exists()
+
+
+def test_dry_run_refuses_what_a_run_would_refuse(codesign) -> None:
+    code, output = codesign("run", "--dry-run", "--robot", "spot")
+    assert code == 1
+    assert "spot" in output
+
+
+def test_default_is_no_dry_run() -> None:
+    assert not Run().dry_run
