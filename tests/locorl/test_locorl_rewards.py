@@ -9,7 +9,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from locorl.config import differences, to_dict
+from locorl.config import differences, from_dict, to_dict
 from locorl.rewards.config import RewardConfig, released_code, table_i
 from locorl.rewards.state import StepState
 from locorl.rewards.terms import TERMS
@@ -226,6 +226,36 @@ def test_a_weight_of_zero_leaves_the_term_out(state):
     _, parts = total_reward(state, RewardConfig(torque_penalty=0.0), dt=0.02)
     assert "torque_penalty" not in parts
     assert "torque_rate" in parts
+
+
+@pytest.fixture
+def own(monkeypatch, tmp_path):
+    """A module with a term of one's own, on the path."""
+    (tmp_path / "wild_terms.py").write_text("def crouch(state, config):\n    return -state.gravity[:, 2] * 3.0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    return (("wild_terms:crouch", -0.5),)
+
+
+def test_a_term_of_ones_own_counts_like_the_others(own, state):
+    plain, _ = total_reward(state, RewardConfig(clip_at_zero=False), dt=0.02)
+    both, parts = total_reward(state, RewardConfig(clip_at_zero=False, own=own), dt=0.02)
+    expected = -0.5 * 0.02 * 3.0 * -state.gravity[:, 2]
+    assert torch.allclose(parts["wild_terms:crouch"], expected)
+    assert torch.allclose(both, plain + expected)
+
+
+def test_terms_of_ones_own_survive_the_disk(own):
+    config = RewardConfig(own=own)
+    assert active_terms(config)["wild_terms:crouch"] == -0.5
+    assert from_dict(RewardConfig, to_dict(config)) == config
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("crouch", "module:function"), ("nowhere:crouch", "nowhere"), ("math:crouch", "crouch")]
+)
+def test_a_term_that_cannot_be_found_is_refused_before_anything_runs(name, words):
+    with pytest.raises(ValueError, match=words):
+        active_terms(RewardConfig(own=((name, -1.0),)))
 
 
 def test_progress_pays_up_to_the_commanded_speed_and_nothing_for_standing_still(state):

@@ -29,6 +29,7 @@ from locorl.learning.policy import Policy, PolicyCard, load_policy
 from locorl.learning.ppo import PPO, DivergedError, PPOConfig
 from locorl.providers import find_factory
 from locorl.rewards.config import RewardConfig, released_code, table_i
+from locorl.rewards.state import StepState
 from locorl.simulation.make import SimulatorConfig
 from locorl.simulation.scene import PhysicsConfig, flat_scene
 from locorl.simulation.simulator import Simulator
@@ -74,6 +75,7 @@ __all__ = [
     "Simulator",
     "SimulatorConfig",
     "StepInfo",
+    "StepState",
     "Symmetry",
     "TaskConfig",
     "TerrainConfig",

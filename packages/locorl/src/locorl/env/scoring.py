@@ -35,8 +35,12 @@ class Scoring(Stateful):
         self.config, self._sim, self._ground, self._dt = config, sim, ground, dt
         self._terms = active_terms(config)
         self.last_qd, self.last_torque = (torch.zeros(sim.num_envs, 12, device=sim.device) for _ in range(2))
-        self._swing = Swing(sim, dt) if "low_swing" in self._terms else None
+        self._swing = Swing(sim, dt) if self._looks_at("low_swing") else None
         self._nothing = torch.zeros(1, 1, device=sim.device)
+
+    def _looks_at(self, term: str) -> bool:
+        """Whether what `term` needs is measured; nobody knows what terms of one's own need."""
+        return term in self._terms or bool(self.config.own)
 
     def reset(self, ids: Tensor, qd: Tensor) -> None:
         """Robots `ids` (m,) start with joint velocities `qd` (m, 12), rad/s, and without torque."""
@@ -68,12 +72,12 @@ class Scoring(Stateful):
         """Reward of the step that led to `now`, (N,), and the share of each term, name -> (N,)."""
         # what only some rewards look at
         edges = forces = heading = self._nothing
-        if "clearance" in self._terms:
+        if self._looks_at("clearance"):
             near = self._ground.near_edge(self._sim.foot_position[..., :2].float())
             edges = (contacts.touching & near).float()
-        if "stumble" in self._terms:
+        if self._looks_at("stumble"):
             forces = contacts.foot_forces()
-        if "heading_tracking" in self._terms:
+        if self._looks_at("heading_tracking"):
             heading = guidance.heading_error(now)
         if self._swing is not None:
             self._swing.update(contacts.touching)

@@ -43,6 +43,9 @@ class RewardConfig:
     fall: float = -1.0
     """Paid once when a robot falls, not per second, and never clipped. Without it, leaning into a fast command and
     falling earns more within the discount's horizon than standing, and training dwells there. Ours."""
+    own: tuple[tuple[str, float], ...] = ()
+    """Further terms of your own and their weights, each term as `module:function`: a `rewards.terms.Term` that can be
+    imported wherever the task is used. See `rewards.terms.find_term`."""
     kernel: Literal["gaussian", "l1"] = "gaussian"
     """Velocity tracking: exp(-|e|^2/s) with s below, or the paper's exp(-|e|_1)."""
     linear_scale: float = 0.15

@@ -7,7 +7,8 @@ is to be avoided, and have negative weights. Where the print is loose the docstr
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import reduce
+from functools import cache, reduce
+from importlib import import_module
 
 import torch
 from torch import Tensor
@@ -198,3 +199,29 @@ TERMS: Mapping[str, Term] = {
     )
 }
 """Every term by the name of its weight in `RewardConfig`."""
+
+
+@cache
+def find_term(name: str) -> Term:
+    """The term of that name in `TERMS`, or the function `module:function` of your own.
+
+    It gets the robots' `StepState` and the `RewardConfig` and returns (N,), finite, on their device.
+
+    Raises:
+        ValueError: there is no such term, or it cannot be imported.
+
+    Example:
+        >>> term = find_term("locorl.rewards.terms:orientation")
+    """
+    if name in TERMS:
+        return TERMS[name]
+    module, colon, function = name.partition(":")
+    if not colon:
+        raise ValueError(f"reward term '{name}': write one of your own as module:function; known: {', '.join(TERMS)}")
+    try:
+        return getattr(import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise ValueError(
+            f"reward term '{name}' cannot be imported ({error}): put its module on the path, with PYTHONPATH or an "
+            "installed package"
+        ) from error

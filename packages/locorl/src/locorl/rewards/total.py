@@ -10,12 +10,19 @@ from torch import Tensor
 
 from locorl.rewards.config import RewardConfig
 from locorl.rewards.state import StepState
-from locorl.rewards.terms import TERMS
+from locorl.rewards.terms import TERMS, find_term
 
 
 def active_terms(config: RewardConfig) -> dict[str, float]:
-    """Weights that are not zero, by term."""
+    """Weights that are not zero, by term, your own after the others.
+
+    Raises:
+        ValueError: a term of your own cannot be imported.
+    """
     weights = {field.name: getattr(config, field.name) for field in fields(config) if field.name in TERMS}
+    weights |= dict(config.own)
+    for name in weights:
+        find_term(name)
     return {name: float(weight) for name, weight in weights.items() if weight != 0.0}
 
 
@@ -31,7 +38,7 @@ def total_reward(state: StepState, config: RewardConfig, dt: float) -> tuple[Ten
         The reward (N,), and each term's weighted share before any clipping, name -> (N,).
     """
     names, weights = _weights(config, dt, state.velocity.dtype, state.velocity.device)
-    shares = torch.stack([TERMS[name](state, config) for name in names]).mul_(weights)
+    shares = torch.stack([find_term(name)(state, config) for name in names]).mul_(weights)
     # one after the other: the order of `sum` depends on the number of robots
     reward = reduce(torch.add, shares.unbind())
     if config.clip_at_zero:
