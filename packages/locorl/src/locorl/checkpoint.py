@@ -24,13 +24,24 @@ class UnreadableError(CheckpointError):
     """A checkpoint is truncated or damaged, or is another kind of file."""
 
 
+def on_cpu(content: Any) -> Any:
+    """The same nested mappings and sequences with all tensors on the CPU."""
+    if isinstance(content, torch.Tensor):
+        return content.cpu()
+    if isinstance(content, Mapping):
+        return {name: on_cpu(value) for name, value in content.items()}
+    if isinstance(content, list | tuple):
+        return type(content)(on_cpu(value) for value in content)
+    return content
+
+
 def save(path: Path, content: Mapping[str, Any]) -> None:
     """Write `content` (tensors and plain data) to `path`; a crash leaves the file that was there before.
 
     Raises:
         CheckpointError: disk or memory is full, or the folder cannot be written to; the old file is untouched.
     """
-    _replace(path, lambda file: torch.save({"format": FORMAT, **content}, file))
+    _replace(path, lambda file: torch.save({"format": FORMAT, **on_cpu(content)}, file))
 
 
 def save_next(path: Path, content: Mapping[str, Any]) -> None:
@@ -40,7 +51,9 @@ def save_next(path: Path, content: Mapping[str, Any]) -> None:
         CheckpointError: as `save`; both old files are untouched.
     """
     keep = path.exists() and _good(path)
-    _replace(path, lambda file: torch.save({"format": FORMAT, **content}, file), previous(path) if keep else None)
+    _replace(
+        path, lambda file: torch.save({"format": FORMAT, **on_cpu(content)}, file), previous(path) if keep else None
+    )
 
 
 def write_text(path: Path, text: str) -> None:

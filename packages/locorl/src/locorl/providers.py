@@ -17,6 +17,7 @@ from locorl.env.depth_camera import DepthConfig
 from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import BodyFactory
 from locorl.learning.policy import Policy, load_policy
+from locorl.simulation.make import SimulatorConfig
 from locorl.tasks import Preset, TaskConfig, make_task
 
 
@@ -76,6 +77,7 @@ def make_env(
     policy: str | None = None,
     history: int = 0,
     spread: bool = False,
+    device: str = "cpu",
 ) -> StudentEnv:
     """Robots on one of `locorl.tasks.TASKS`, to train and judge a student with.
 
@@ -90,9 +92,10 @@ def make_env(
         policy: path of a policy or checkpoint; task and preset are those that it was trained on.
         history: past frames of proprioception in the observation group `history`.
         spread: see `StudentEnv`.
+        device: `cuda` or `cuda:1` simulates there, on MuJoCo Warp.
     """
     config = _task(task, preset, terrain, policy, history)
-    return StudentEnv(_robots(robot, num_envs, design, seed, config), spread)
+    return StudentEnv(_robots(robot, num_envs, design, seed, config, device), spread)
 
 
 def locomotion(**options: Any) -> StudentEnv:
@@ -118,6 +121,7 @@ def parkour_depth(
     spread: bool = False,
     rows: int = 24,
     columns: int = 36,
+    device: str = "cpu",
 ) -> VisionEnv:
     """Robots with depth cameras on obstacle courses.
 
@@ -134,10 +138,11 @@ def parkour_depth(
         spread: over all tiles.
         rows: height of an image, px; the reference implementation has 58.
         columns: its width, px; there 87.
+        device: see `make_env`.
     """
     config = _task(task, preset, terrain, policy, history)
     config = with_camera(config, DepthConfig(rows=rows, columns=columns), history)
-    return VisionEnv(_robots(robot, num_envs, design, seed, config), spread)
+    return VisionEnv(_robots(robot, num_envs, design, seed, config, device), spread)
 
 
 def _task(task: str, preset: Preset, terrain: Sequence[str], policy: str | None, history: int) -> TaskConfig:
@@ -148,10 +153,13 @@ def _task(task: str, preset: Preset, terrain: Sequence[str], policy: str | None,
     return replace(config, observation=replace(config.observation, history=history))
 
 
-def _robots(robot: str, num_envs: int, design: Sequence[float] | None, seed: int, task: TaskConfig) -> LeggedEnv:
+def _robots(
+    robot: str, num_envs: int, design: Sequence[float] | None, seed: int, task: TaskConfig, device: str
+) -> LeggedEnv:
     factory = find_factory(robot)
     if design is None:
         designs = sample_designs(factory, num_envs, np.random.default_rng(seed))
     else:
         designs = repeat_design(factory, np.asarray(design, dtype=np.float64), num_envs)
-    return LeggedEnv(factory, designs, task, seed=seed)
+    simulator = SimulatorConfig("cpu" if device == "cpu" else "warp", device)
+    return LeggedEnv(factory, designs, task, seed=seed, simulator=simulator)

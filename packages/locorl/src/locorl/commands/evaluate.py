@@ -20,6 +20,7 @@ from locorl.evaluation.obstacles import success_by_obstacle
 from locorl.learning.policy import load_policy
 from locorl.play.errors import missing_extra
 from locorl.providers import find_factory
+from locorl.simulation.make import SimulatorConfig
 
 _UNITS = {
     "distance": "m",
@@ -50,6 +51,7 @@ class Evaluate:
     design: tuple[float, ...] | None = None
     """Instead of random bodies: this one."""
     evaluation: EvalConfig = field(default_factory=EvalConfig)
+    simulator: SimulatorConfig = field(default_factory=SimulatorConfig)
     worst: int = 5
     """Bodies to list with their design: first those that failed, then those that track worst."""
     json: bool = False
@@ -70,7 +72,7 @@ class Evaluate:
             designs = designs[feasible(factory, designs)]
         else:
             designs = sample_designs(factory, self.bodies, np.random.default_rng(self.evaluation.seed))
-        result = evaluate(policy, factory, designs, policy.card.task, self.evaluation)
+        result = evaluate(policy, factory, designs, policy.card.task, self.evaluation, simulator=self.simulator)
         names = factory.space.names
         if self.json:
             print(json.dumps({"samples": policy.card.samples, **to_json(result)}, indent=1))

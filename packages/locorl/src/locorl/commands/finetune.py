@@ -58,7 +58,8 @@ class Finetune:
         # both by the reward that the fine-tune is about
         task, generalist = tuned.policy.card.task, load_policy(self.checkpoint)
         before, after = (
-            evaluate(policy, factory, design[None], task, self.evaluation) for policy in (generalist, tuned.policy)
+            evaluate(policy, factory, design[None], task, self.evaluation, simulator=config.simulator)
+            for policy in (generalist, tuned.policy)
         )
         if tuned.candidates:
             rich.print(_candidates_table(tuned))

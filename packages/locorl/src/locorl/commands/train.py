@@ -16,6 +16,7 @@ from locorl.learning.distributed import Processes
 from locorl.learning.divergence import DivergedError
 from locorl.learning.policy import load_policy
 from locorl.providers import find_factory
+from locorl.simulation.make import find_device
 from locorl.simulation.cpu import available_cores
 from locorl.tasks import Preset, TaskConfig, make_task
 from locorl.training.cost import predict
@@ -62,7 +63,7 @@ class Train:
             replay(self.folder / "fault.pt", factory)
             rich.print("this time the iteration went well: its cause has been mended, or was no part of the run")
             return
-        group = Processes.from_environment()
+        group = Processes.from_environment(find_device(self.config.simulator.here()))
         try:
             self._train(factory, group)
         finally:

@@ -66,7 +66,7 @@ class LeggedEnv:
         simulator: SimulatorConfig | None = None,
     ) -> None:
         self.task, self.factory = task, factory
-        simulator = simulator or SimulatorConfig(threads=threads)
+        simulator = (simulator or SimulatorConfig()).here(threads)
         self.device = find_device(simulator)
         self.num_envs = len(designs)
         self.dt = task.physics.control_dt

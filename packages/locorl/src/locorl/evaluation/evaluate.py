@@ -167,13 +167,13 @@ def walking_protocol(task: TaskConfig, config: EvalConfig) -> TaskConfig:
     return replace(task, episode_seconds=seconds, command=command, randomisation=calm, curriculum=curriculum)
 
 
-def _tiles(config: EvalConfig, bodies: int, levels: int, columns: int) -> tuple[Tensor, Tensor]:
+def _tiles(config: EvalConfig, bodies: int, levels: int, columns: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """Level and column of each robot, (B * R,) each: the same for every body.
 
     Raises:
         ValueError: the map has no such level.
     """
-    robot = torch.arange(config.robots_per_body)
+    robot = torch.arange(config.robots_per_body, device=device)
     if config.level is None:
         level = ((robot + 0.5) * levels / config.robots_per_body).long()
     elif 0 <= config.level < levels:
@@ -204,19 +204,19 @@ def evaluate(
     env = LeggedEnv(
         factory, np.repeat(designs, robots, axis=0), task, seed=config.seed, threads=threads, simulator=simulator
     )
-    meter, legs = GaitMeter(sole_height(env, robots), env.dt), Legs(env.sim.model, factory.layout.joints)
+    meter, legs = GaitMeter(sole_height(env, robots), env.dt), Legs(env.sim.model, factory.layout.joints, env.device)
     steps = round(config.seconds / env.dt)
     settle = round(config.settle / env.dt)
     obs = env.reset(seed=config.seed)
     if len(env.terrain.difficulty) > 1:
-        obs = env.reset_on(*_tiles(config, bodies, *env.terrain.obstacle.shape))
+        obs = env.reset_on(*_tiles(config, bodies, *env.terrain.obstacle.shape, env.device))
     actor.reset()
     asked = env.command[:, 0].clone()
     course = _course(env, (bodies, robots))
 
-    alive = torch.ones(env.num_envs, dtype=torch.bool)
+    alive = torch.ones(env.num_envs, dtype=torch.bool, device=env.device)
     arrived = torch.zeros_like(alive)
-    returns, error, way, work = (torch.zeros(env.num_envs, dtype=torch.float64) for _ in range(4))
+    returns, error, way, work = (torch.zeros_like(alive, dtype=torch.float64) for _ in range(4))
     settled_way, settled_work, settled_steps, judged_steps = (torch.zeros_like(returns) for _ in range(4))
     for step in range(steps):
         obs, reward, terminated, truncated, info = env.step(actor.act(obs))
@@ -244,7 +244,7 @@ def evaluate(
         arrived = arrived | (under_way & info.success)
 
     def shape(values: Tensor) -> Array:
-        return values.double().numpy().reshape(bodies, robots)
+        return values.double().numpy(force=True).reshape(bodies, robots)
 
     weight = env.weight.double()
     transport = torch.where(settled_way > 0.05, settled_work / (weight * settled_way), torch.inf)
@@ -253,14 +253,14 @@ def evaluate(
         config=config,
         command=shape(asked),
         weight=shape(weight),
-        survived=alive.numpy().reshape(bodies, robots),
+        survived=alive.numpy(force=True).reshape(bodies, robots),
         returns=shape(returns),
         tracking_error=shape(error / judged_steps.clamp(min=1)),
         distance=shape(way),
         energy=shape(work),
         cost_of_transport=shape(transport),
         mean_power=shape(settled_work / (settled_steps * env.dt).clamp(min=env.dt)),
-        succeeded=None if env.goals is None else arrived.numpy().reshape(bodies, robots),
+        succeeded=None if env.goals is None else arrived.numpy(force=True).reshape(bodies, robots),
         gait=meter.gait().reshape(bodies, robots),
         course=course,
     )

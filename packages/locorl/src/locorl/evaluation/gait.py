@@ -56,14 +56,16 @@ class GaitMeter:
     def __init__(self, sole: Tensor, dt: float) -> None:
         sole = sole.double()
         self._sole, self._dt = sole, dt
-        self._feet = torch.zeros(*sole.shape, 2, dtype=torch.float64)
+        self._feet = torch.zeros(*sole.shape, 2, dtype=torch.float64, device=sole.device)
         self._lead = torch.zeros_like(self._feet)
-        self._touching, self._stood = (torch.zeros(sole.shape, dtype=torch.bool) for _ in range(2))
-        self._counted = torch.zeros(len(sole), dtype=torch.bool)
-        self._air, self._swings = (torch.zeros(sole.shape, dtype=torch.long) for _ in range(2))
+        self._touching, self._stood = (torch.zeros_like(sole, dtype=torch.bool) for _ in range(2))
+        self._counted = torch.zeros(len(sole), dtype=torch.bool, device=sole.device)
+        self._air, self._swings = (torch.zeros_like(sole, dtype=torch.long) for _ in range(2))
         self._peak = torch.full_like(sole, -torch.inf)
         self._heights = torch.zeros_like(sole)
-        self._slid, self._way, self._stance, self._steps = torch.zeros(4, len(sole), dtype=torch.float64)
+        self._slid, self._way, self._stance, self._steps = torch.zeros(
+            4, len(sole), dtype=torch.float64, device=sole.device
+        )
 
     def add(self, feet: Tensor, rate: Tensor, ground: Tensor, touching: Tensor, way: Tensor, counted: Tensor) -> None:
         """Take in one control step.
@@ -104,7 +106,7 @@ class GaitMeter:
         slip = torch.where(self._way > _LEAST_WAY, self._slid / self._way, torch.inf)
         clearance = self._heights.sum(dim=1) / swings.clamp(min=1)
         duty_factor = self._stance / self._steps.clamp(min=1)
-        return Gait(clearance.numpy(), slip.numpy(), duty_factor.numpy())
+        return Gait(*(values.numpy(force=True) for values in (clearance, slip, duty_factor)))
 
 
 def sole_height(env: LeggedEnv, each: int = 1) -> Tensor:
@@ -115,4 +117,4 @@ def sole_height(env: LeggedEnv, each: int = 1) -> Tensor:
     """
     sites = [mujoco.mj_name2id(env.sim.model, mujoco.mjtObj.mjOBJ_SITE, name) for name in env.factory.layout.feet]
     height = [env.sim.data_of(robot).site_xpos[sites, 2] for robot in range(0, env.num_envs, each)]
-    return torch.from_numpy(np.stack(height)).repeat_interleave(each, dim=0)
+    return torch.from_numpy(np.stack(height)).to(env.device).repeat_interleave(each, dim=0)

@@ -19,10 +19,13 @@ class Legs:
     Args:
         model: any of the robots.
         joints: names of the joints leg by leg, from the hip outwards.
+        device: of the robots' state.
         legs: number of legs.
     """
 
-    def __init__(self, model: mujoco.MjModel, joints: Sequence[str], legs: int = 4) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, joints: Sequence[str], device: torch.device | str = "cpu", legs: int = 4
+    ) -> None:
         ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in joints]
         shape = (legs, len(joints) // legs)
         self._shape = shape
@@ -31,7 +34,9 @@ class Legs:
         # how each link is mounted on the one before
         mounted = torch.from_numpy(model.body_quat[model.jnt_bodyid[ids]].copy())
         self._mounted = rotation(mounted).view(*shape, 3, 3)
+        # MuJoCo's numbers come from the host
         self._tilted = [bool((self._mounted[:, joint] != torch.eye(3)).any()) for joint in range(shape[1])]
+        self._zero, self._axis, self._mounted = (each.to(device) for each in (self._zero, self._axis, self._mounted))
 
     def foot_rate(self, qpos: Tensor, qvel: Tensor) -> Tensor:
         """Angular velocity of each foot, world axes, (N, legs, 3), rad/s, from qpos (N, 19) and qvel (N, 18)."""

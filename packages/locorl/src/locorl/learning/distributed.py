@@ -29,6 +29,8 @@ class Processes:
             raise ValueError(f"{', '.join(missing)} not set: start the processes with torchrun --nproc-per-node N")
         self.device = torch.device(device)
         backend = "nccl" if self.device.type == "cuda" else "gloo"
+        if self.device.type == "cuda":  # where nccl, and Python objects on their way, find room
+            torch.cuda.set_device(self.device)
         dist.init_process_group(backend, timeout=timedelta(seconds=timeout))
         self.rank, self.size = dist.get_rank(), dist.get_world_size()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,6 +67,9 @@ class Policy:
     Satisfies what distillation asks of a teacher: `act`, `latent`, `actor`, `latent_dim`, and on tasks with a height
     scan `scan_latent` and `scan_latent_dim`.
 
+    It acts where the observations are: at the first that lie on another device than its networks it takes a copy of
+    these there, so that networks in training stay where they are.
+
     Args:
         model: the networks.
         card: what they were trained for.
@@ -96,12 +100,12 @@ class Policy:
     @torch.no_grad()
     def act(self, obs: Mapping[str, Tensor]) -> Tensor:
         """Mean action, (N, 12)."""
-        return self.model.act(obs)
+        return self._near(obs).act(obs)
 
     @torch.no_grad()
     def latent(self, obs: Mapping[str, Tensor]) -> Tensor:
         """Privileged latent, (N, latent_dim)."""
-        return self.model.latent(obs)
+        return self._near(obs).latent(obs)
 
     @torch.no_grad()
     def scan_latent(self, obs: Mapping[str, Tensor]) -> Tensor:
@@ -110,7 +114,13 @@ class Policy:
         Raises:
             ValueError: the task has no scan.
         """
-        return self.model.scan_latent(obs)
+        return self._near(obs).scan_latent(obs)
+
+    def _near(self, obs: Mapping[str, Tensor]) -> ActorCritic:
+        device = next(iter(obs.values())).device
+        if self.model.log_std.device != device:
+            self.model = copy.deepcopy(self.model).to(device)
+        return self.model
 
     @property
     def signature(self) -> dict[str, object]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -19,7 +20,8 @@ class SimulatorConfig:
     backend: str = "cpu"
     """`cpu`: MuJoCo's C++ thread pool, float64. `warp`: MuJoCo Warp, float32 (extra `gpu`)."""
     device: str = "cpu"
-    """Of the `warp` backend: `cuda`, `cuda:1`, ..., or `cpu`, which is for tests: it is slow."""
+    """Of the `warp` backend: `cuda`, `cuda:1`, ..., or `cpu`, which is for tests: it is slow. Of several processes that
+    torchrun starts on a machine, `cuda` gives each a GPU of its own."""
     threads: int | None = None
     """Worker threads of the `cpu` backend; None takes every core that this process may use."""
     contacts: int = 64
@@ -34,6 +36,12 @@ class SimulatorConfig:
             raise ValueError(f"the 'cpu' simulator runs on the CPU; for device '{self.device}' take backend 'warp'")
         if self.contacts < 1 or (self.threads is not None and self.threads < 1):
             raise ValueError(f"SimulatorConfig: contacts and threads must be at least 1, got {self}")
+
+    def here(self, threads: int | None = None) -> SimulatorConfig:
+        """The same for this process: `cuda` is the GPU of its LOCAL_RANK; `threads`, if given, replace its own."""
+        rank = os.environ.get("LOCAL_RANK")
+        device = f"cuda:{rank}" if self.device == "cuda" and rank is not None else self.device
+        return replace(self, device=device, threads=self.threads if threads is None else threads)
 
 
 def find_device(config: SimulatorConfig) -> torch.device:

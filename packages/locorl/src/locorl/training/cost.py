@@ -46,7 +46,8 @@ def predict(trainer: Trainer) -> Cost:
     iterations = config.iterations - trainer.iteration
     batch = env.num_envs * config.ppo.steps
     rows = max(2, batch // config.ppo.minibatches)
-    robots = min(env.num_envs, _ROBOTS)
+    # on a GPU few robots take as long as many
+    robots = min(env.num_envs, _ROBOTS) if env.device.type == "cpu" else env.num_envs
     steps = min(max(2, rows // robots), _STEPS)
     ppo = replace(config.ppo, steps=steps, epochs=1, minibatches=max(1, robots * steps // rows))
     small = replace(config, num_envs=robots, ppo=ppo, network=trainer.policy().card.network)

@@ -25,6 +25,7 @@ from locorl.learning.ppo import PPOConfig
 from locorl.simulation.make import SimulatorConfig
 from locorl.tasks.task import TaskConfig
 from locorl.training.metrics import read_metrics
+from locorl.training.resume import identity
 from locorl.training.trainer import TrainConfig, Trainer
 
 
@@ -140,7 +141,7 @@ def finetune(
         seed: of the run.
         folder: where to keep checkpoint, metrics and candidates; a run killed there is resumed.
         quiet: no progress on screen.
-        threads: simulation threads.
+        threads: simulation threads; None takes those of `config.simulator`.
         hooks: learnt beside the policy, such as an estimator of the velocity; they go on where `folder` stopped.
         attach: given the networks in training before it begins, for hooks that need one of them.
 
@@ -179,7 +180,7 @@ def finetune(
     while True:
         now = trainer.iteration
         if config.judges(now) and all(candidate.iteration != now for candidate in candidates):
-            candidates.append(_judge(trainer, factory, bodies[:1], config.choice, threads))
+            candidates.append(_judge(trainer, factory, bodies[:1], config, threads))
             _write_candidate(folder, candidates[-1])
         stopped = config.patience is not None and stalled(candidates, config.patience) and now < config.iterations
         if stopped or now >= config.iterations:
@@ -239,21 +240,21 @@ def _keep_optimizer(trainer: Trainer, learner: Mapping[str, Any]) -> None:
 
 
 def _judge(
-    trainer: Trainer, factory: BodyFactory, design: Array, protocol: EvalConfig, threads: int | None
+    trainer: Trainer, factory: BodyFactory, design: Array, config: FinetuneConfig, threads: int | None
 ) -> Candidate:
     """The trainer's policy as it is now, evaluated on the fine-tune's own task."""
     now = trainer.policy()
     policy = Policy(copy.deepcopy(now.model), now.card)
-    result = evaluate(policy, factory, design, now.card.task, protocol, threads)
+    result = evaluate(policy, factory, design, now.card.task, config.choice, threads, config.simulator)
     return Candidate(trainer.iteration, policy, result.returns[0], result.energy[0], float(result.survived.mean()))
 
 
 def _check_folder(folder: Path, config: FinetuneConfig, resumed: bool) -> None:
     """Write down the fine-tune, or refuse to go on with another one than the folder's; the budget may differ."""
     path = folder / "finetune.json"
-    mine = to_dict(replace(config, iterations=0))
+    mine = identity(to_dict(replace(config, iterations=0)))
     if resumed and path.is_file():
-        changes = differences(json.loads(path.read_text(encoding="utf-8")), mine)
+        changes = differences(identity(json.loads(path.read_text(encoding="utf-8"))), mine)
         if changes:
             raise checkpoint.CheckpointError(
                 f"{folder} holds another fine-tune; use another folder. Differences:\n  " + "\n  ".join(changes)

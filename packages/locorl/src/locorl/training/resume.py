@@ -15,6 +15,18 @@ from locorl.learning.policy import PolicyCard
 from locorl.training.config import TrainConfig
 
 
+def identity(config: Mapping[str, Any]) -> dict[str, Any]:
+    """What of a configuration, as JSON data, must stay the same for a run to go on.
+
+    Of the simulator that is its backend and the kind of device: a run of one GPU goes on on any other, but not on a
+    CPU, whose random streams are others. Threads and room for contacts may change. Runs that were written down before
+    there was a choice used the CPU.
+    """
+    simulator = config.get("simulator", {"backend": "cpu", "device": "cpu"})
+    kept = {"backend": simulator["backend"], "device": simulator["device"].partition(":")[0]}
+    return {**config, "simulator": kept}
+
+
 def read_checkpoint(path: Path, config: TrainConfig, quiet: bool = False) -> Mapping[str, Any] | None:
     """The newest readable checkpoint at `path`, None if there is none; says so if it is not the last one written.
 
@@ -35,7 +47,7 @@ def read_checkpoint(path: Path, config: TrainConfig, quiet: bool = False) -> Map
     # the run is the same if it is longer or saves at other times, unless the bodies share the iterations out
     free = {"save_every"} if config.morphology.kind == "temporal" else {"save_every", "iterations"}
     theirs, mine = (
-        {name: value for name, value in each.items() if name not in free}
+        {name: value for name, value in identity(each).items() if name not in free}
         for each in (content["config"], to_dict(config))
     )
     if config_hash(theirs) != config_hash(mine):

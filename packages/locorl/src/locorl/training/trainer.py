@@ -29,7 +29,7 @@ from locorl.learning.policy import Policy, PolicyCard
 from locorl.learning.ppo import PPO
 from locorl.training.config import TrainConfig
 from locorl.training.metrics import MetricsFile, TrainingProgress
-from locorl.training.resume import check_origin, read_checkpoint
+from locorl.training.resume import check_origin, identity, read_checkpoint
 from locorl.training.share import Share
 from locorl.training.watcher import Watcher
 
@@ -49,7 +49,7 @@ class Trainer:
         folder: where to write; a checkpoint found there is resumed.
         designs: bodies for the whole run, (N, d); by default `config.morphology` deals them.
         start: policy to start from, as in fine-tuning; the optimiser starts fresh.
-        threads: simulation threads.
+        threads: simulation threads; None takes those of `config.simulator`.
         hooks: learnt beside the policy.
         group: the processes that train together, each on its share of the robots; the first one writes the files.
 
@@ -71,7 +71,7 @@ class Trainer:
     ) -> None:
         self.config, self.folder, self.threads = config, folder, threads
         self.share = Share(config.num_envs, group)
-        self.iteration = 0
+        self.iteration, self._crowded = 0, False
         streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(config.seed).spawn(4)]
         resumed = read_checkpoint(folder / "checkpoint.pt", config, quiet=not self.share.first) if folder else None
         if designs is not None and len(designs) != config.num_envs:
@@ -88,7 +88,7 @@ class Trainer:
             config.task,
             seed=self.share.seed(streams[1]),
             threads=threads,
-            simulator=replace(config.simulator, threads=threads),
+            simulator=config.simulator,
         )
         if start is not None:
             start.check_space(factory.name, factory.space)
@@ -97,6 +97,7 @@ class Trainer:
         self.model = ActorCritic(self.env.group_dims, self.env.num_actions, network)
         if start is not None:
             self.model.load_state_dict(start.model.state_dict())
+        self.model.to(self.env.device)  # made on the CPU: equal seeds, equal networks on every device
         self.ppo = PPO(
             self.model,
             config.ppo,
@@ -204,6 +205,8 @@ class Trainer:
             raise
         seconds = time.perf_counter() - started
         self.iteration += 1
+        if self.config.simulator.backend == "warp" and not self._crowded:  # reading warns with the way out: once
+            self._crowded = any(self.env.sim.overflows.values())
         return {
             "iteration": self.iteration,
             "samples": self.samples,
@@ -221,7 +224,7 @@ class Trainer:
         """
         if self.folder is None:
             raise ValueError("this run has no folder to save to")
-        everyone = self.share.collect(self._content())
+        everyone = self.share.collect(checkpoint.on_cpu(self._content()))
         if self.share.first:
             # the policy first: if the run is killed in between, it will write it again
             self.policy().save(self.folder / "policy.pt")
@@ -255,7 +258,7 @@ class Trainer:
         return {
             **self.policy().content(),
             "config": config,
-            "config_hash": config_hash(config),
+            "config_hash": config_hash(identity(config)),
             "iteration": self.iteration,
             "ppo": self.ppo.state_dict(),
             "env": self.env.state_dict(),
