@@ -16,8 +16,8 @@ from locorl.learning.distributed import Processes
 from locorl.learning.divergence import DivergedError
 from locorl.learning.policy import load_policy
 from locorl.providers import find_factory
-from locorl.simulation.make import find_device
 from locorl.simulation.cpu import available_cores
+from locorl.simulation.make import find_device
 from locorl.tasks import Preset, TaskConfig, make_task
 from locorl.training.cost import predict
 from locorl.training.faults import replay
