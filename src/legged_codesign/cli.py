@@ -12,14 +12,16 @@ from rich.markup import escape
 
 from legged_codesign.commands.report import Report
 from legged_codesign.commands.run import Run
+from legged_codesign.commands.status import Status
 from legged_codesign.commands.student import Student
+from legged_codesign.commands.watch import Watch
 
 console = Console()
 
 
 def main() -> None:
     """Entry point of the `codesign` command."""
-    command = tyro.cli(Run | Student | Report, prog="codesign", description=__doc__)
+    command = tyro.cli(Run | Student | Status | Watch | Report, prog="codesign", description=__doc__)
     try:
         command.run(console)
     except KeyboardInterrupt:

@@ -19,6 +19,7 @@ from legged_codesign.pretrain import check_shipped, pretrain, shipped_generalist
 from legged_codesign.report.render import write_report
 from legged_codesign.robots import body_factory
 from legged_codesign.run_folder import Files, bind
+from legged_codesign.run_log import LoggedConsole
 from legged_codesign.search import BodySearch
 from legged_codesign.stages import Stage, locked, run_stages, write_text
 from legged_codesign.student_run import StudentConfig, StudentRun, check_student
@@ -51,10 +52,12 @@ def run(
         ValueError: bounds or fixed values do not fit the robot, or the student does not fit the task.
     """
     # what cannot work must not claim the folder
-    planned = _Run(config, Files(folder), console or Console(), machines or Machines(), processes)
+    log = LoggedConsole(console or Console())
+    planned = _Run(config, Files(folder), log, machines or Machines(), processes)
     with locked(folder):
         bind(folder, config)
-        return planned.go()
+        with log.into(folder):
+            return planned.go()
 
 
 class _Run:
@@ -70,9 +73,9 @@ class _Run:
 
     def go(self) -> Files:
         """Do all stages."""
-        self.console.print(
-            f"[bold]{self.files.folder}[/bold]: {predict(self.config, self.factory, self.machines)}", highlight=False
-        )
+        prediction = predict(self.config, self.factory, self.machines)
+        write_text(self.files.prediction, json.dumps({"seconds": 60 * prediction.minutes}) + "\n")
+        self.console.print(f"[bold]{self.files.folder}[/bold]: {prediction}", highlight=False)
         first = self._search_stages()
         last = self._last_stages()
         count = len(first) + self.config.distil.stages + len(last)

@@ -83,6 +83,11 @@ class Files:
         return self.folder / "rollout.json"
 
     @property
+    def prediction(self) -> Path:
+        """What the run was predicted to take."""
+        return self.folder / "stages" / "prediction.json"
+
+    @property
     def report(self) -> Path:
         """The page to read."""
         return self.folder / "report.html"

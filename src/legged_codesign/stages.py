@@ -12,9 +12,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from rich.console import Console
+
+from legged_codesign.run_log import PROGRESS, Progress
 
 
 class RunError(RuntimeError):
@@ -60,6 +62,8 @@ def run_stages(
             console.print(f"{title} unchanged, skipped")
             continue
         console.print(title)
+        progress = folder / "stages" / PROGRESS
+        write_text(progress, Progress.begin(stage.name).to_json())
         started = time.monotonic()
         stage.work()
         seconds = time.monotonic() - started
@@ -69,6 +73,7 @@ def run_stages(
         write_text(marker, json.dumps({"fingerprint": mark}) + "\n")
         with (folder / "metrics.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({"stage": stage.name, "seconds": round(seconds, 1)}) + "\n")
+        progress.unlink(missing_ok=True)
         console.print(f"  done in {seconds:.0f} s", highlight=False)
 
 
@@ -120,7 +125,31 @@ def locked(folder: Path) -> Iterator[None]:
         raise RunError(f"cannot write to the run folder {folder}: {error}; choose another with --folder") from error
     with file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _lock(file)
         except OSError as error:
             raise RunError(f"another run is using {folder}; wait for it or choose another --folder") from error
         yield
+
+
+def _lock(file: IO[str], patience: float = 0.5) -> None:
+    """Lock a file; who only asks whether it is locked holds it for microseconds, so try again before giving up."""
+    end = time.monotonic() + patience
+    while True:
+        try:
+            return fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            if time.monotonic() > end:
+                raise
+        time.sleep(0.05)
+
+
+def in_use(folder: Path) -> bool:
+    """Whether a process holds a run folder now; asks without writing anything."""
+    try:
+        with (folder / ".lock").open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # no lock, or none that we may see
+        return False
+    return False

@@ -31,6 +31,7 @@ from legged_codesign.pretrained import shipped
 from legged_codesign.provenance import provenance
 from legged_codesign.robots import BodyConfig, body_factory
 from legged_codesign.run_folder import bind
+from legged_codesign.run_log import LoggedConsole
 from legged_codesign.stages import Stage, locked, run_stages, write_text
 from legged_codesign.tasks import on
 
@@ -113,10 +114,13 @@ class StudentRun:
             RunError: the folder belongs to another configuration, is in use or cannot be written to.
         """
         samples = self.config.distil.samples / 1e6
-        self.console.print(f"[bold]{self.folder}[/bold]: {samples:.1f} M environment steps")
+        log = LoggedConsole(self.console)
         with locked(self.folder):
             bind(self.folder, self.config, "student")
-            run_stages(self.folder, self.stages(), self.console)
+            self.console = log
+            with log.into(self.folder):
+                self.console.print(f"[bold]{self.folder}[/bold]: {samples:.1f} M environment steps")
+                run_stages(self.folder, self.stages(), self.console)
         return self.bundle
 
     def stages(self) -> list[Stage]:
