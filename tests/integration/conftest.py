@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import torch
+import yaml
+from codesign_bo import BoxSpace, EvalResult, Study
 from locorl import Policy, TrainConfig, Trainer
 from locorl.providers import find_factory
 from morphgen import BodyFactory
@@ -23,6 +28,7 @@ from legged_codesign import cli
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 torch.set_num_threads(1)
 
+LAST_START = ("log.txt", "progress.json", "prediction.json")
 SMOKE = ("run", "--preset", "smoke", "--folder")
 
 
@@ -94,13 +100,13 @@ def codesign(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
 @pytest.fixture
 def snapshot() -> Callable[[Path], dict[str, str]]:
-    """Name -> hash of every file in a folder, SQLite's scratch files and locks left out."""
+    """Name -> hash of every file in a folder; SQLite's scratch files, locks and notes on the last start are left out."""
 
     def take(folder: Path) -> dict[str, str]:
         return {
             str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
             for path in sorted(folder.rglob("*"))
-            if path.is_file() and not path.name.endswith(("-wal", "-shm", ".lock"))
+            if path.is_file() and not path.name.endswith(("-wal", "-shm", ".lock", *LAST_START))
         }
 
     return take
@@ -122,3 +128,59 @@ def design() -> np.ndarray:
 def untrained(go2: BodyFactory) -> Policy:
     """A policy with random weights."""
     return Trainer(go2, TrainConfig(num_envs=2, iterations=1, seed=3)).policy()
+
+
+class HandMade:
+    """A run folder as a run would leave it when it is killed at a given moment."""
+
+    CONFIG: ClassVar = {
+        "preset": "laptop",
+        "task": "flat",
+        "robot": "go2",
+        "objective": "cost-of-transport",
+        "search": {"trials": 4, "confirm": 1, "repeats": 2},
+        "pretrain": {"iterations": 5},
+        "distil": {"depth": False, "adapt": None, "imitation": {"iterations": 8}},
+    }
+    STAGES = ("pretrain", "screen", "search", "confirm", "distil", "compare", "export", "deploy", "report")
+
+    def __init__(self, folder: Path) -> None:
+        """Bind a run to the folder."""
+        self.folder, self.stages = folder, folder / "stages"
+        self.stages.mkdir(parents=True)
+        (folder / ".lock").touch()
+        (folder / "config.yaml").write_text(yaml.safe_dump({"config": self.CONFIG, "robot_sha256": None}))
+
+    def finish(self, *names: str, seconds: float = 10.0) -> None:
+        """Mark stages as done."""
+        for name in names:
+            (self.stages / f"{name}.json").write_text('{"fingerprint": "x"}')
+            with (self.folder / "metrics.jsonl").open("a") as file:
+                file.write(json.dumps({"stage": name, "seconds": seconds}) + "\n")
+
+    def enter(self, stage: str, ago: float = 60.0) -> None:
+        """Begin a stage `ago` seconds ago."""
+        content = {"stage": stage, "since": time.time() - ago, "command": "codesign run --preset laptop"}
+        (self.stages / "progress.json").write_text(json.dumps(content))
+
+    def search(self, *costs: float | None, begun: bool = False) -> None:
+        """Finish trials with these costs of transport, None for a body that cannot be evaluated; begin one more."""
+        space = BoxSpace.box(
+            ["front_thigh", "front_shank", "hind_thigh", "hind_shank"], [0.6] * 4, [1.4] * 4, [1.0] * 4
+        )
+        with Study(space, self.folder / "study.sqlite", seed=0, n_init=20) as study:
+            for cost in costs:
+                (request,) = study.ask(1)
+                if cost is None:
+                    result = EvalResult(float("nan"), n=0, status="infeasible", message="has no stance")
+                else:
+                    result = EvalResult(-cost, 0.01, 8, {"tracking_error": 0.05}, ((100.0, 0.1), (200.0, 0.2)))
+                study.tell(request.trial, result)
+            if begun:
+                study.ask(1)
+
+
+@pytest.fixture
+def hand_made(tmp_path: Path) -> HandMade:
+    """A run that is bound to its folder and has done nothing."""
+    return HandMade(tmp_path / "runs" / "mine")
