@@ -100,7 +100,7 @@ def codesign(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 
 @pytest.fixture
 def snapshot() -> Callable[[Path], dict[str, str]]:
-    """Name -> hash of every file in a folder; SQLite's scratch files, locks and notes on the last start are left out."""
+    """Name -> hash of every file in a folder, without SQLite's scratch files, locks and notes on the last start."""
 
     def take(folder: Path) -> dict[str, str]:
         return {

@@ -97,8 +97,9 @@ def _print_run(state: RunState, console: Console) -> None:
     if state.confirmations:
         console.print(_trial_table("confirmation on fresh seeds", state.confirmations, state))
     if state.trials:
+        best = "chosen" if state.best_is_final else "best so far"
         names = ", ".join(name.replace("_", " ") for name in state.trials[0].params)
-        say(f"design: {names}. score: {state.objective}. error: of the speed, m/s. * best so far", "dim")
+        say(f"design: {names}. score: {state.objective}. error: of the speed, m/s. * {best}", "dim")
     if state.result:
         say(state.result)
     elif (best := _best(state)) is not None:

@@ -38,12 +38,14 @@ def trial_rows(tables: Tables, objective: Any, held: bool) -> list[TrialState]:
 def confirmation_rows(tables: Tables, objective: Any, held: bool) -> list[TrialState]:
     """The runs on fresh seeds, by body and seed."""
     params = {record.trial: dict(record.params) for record in tables.trials}
+    seconds = {(attempt.trial, attempt.repeat): attempt.seconds for attempt in tables.attempts if attempt.final}
     return [
         TrialState(
             trial=run.trial,
             repeat=run.repeat,
             params=params.get(run.trial, {}),
             origin=f"seed {run.repeat}",
+            seconds=seconds.get((run.trial, run.repeat)),
             **_outcome(run.result, objective, held),
         )
         for run in tables.confirmations
@@ -65,14 +67,15 @@ def search_left(tables: Tables, evaluations: int, now: float) -> float | None:
         now: Unix time, s.
 
     Returns:
-        The prediction; None as long as no evaluation has ended.
+        The prediction; None as long as no evaluation has ended, or if it should be over by now.
     """
     took = [attempt.seconds for attempt in tables.attempts if attempt.final and attempt.seconds is not None]
     if not took:
         return None
     running = [attempt for attempt in tables.attempts if attempt.status == "running"]
     each, spent = statistics.median(took), sum(now - attempt.started for attempt in running if attempt.started)
-    return max(0.0, evaluations * each - min(spent, len(running) * each)) / max(1, len(running))
+    left = (evaluations * each - min(spent, len(running) * each)) / max(1, len(running))
+    return left if left > 0 else None
 
 
 def _outcome(result: EvalResult | None, objective: Any, held: bool) -> dict[str, Any]:
