@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from morphgen import BodyFactory
+from morphgen.urdf.meshes import face_colors
 from morphgen.views.scene import body_scene
 
 from legged_codesign.robots import body_factory
@@ -27,7 +28,7 @@ def triangles(scene: trimesh.Scene) -> bytes:
             continue
         part = np.zeros((len(mesh.faces), 3), CORNER)
         part["position"] = trimesh.transform_points(mesh.vertices, pose)[mesh.faces]
-        part["color"] = np.asarray(mesh.visual.face_colors)[:, None]
+        part["color"] = _colors(mesh)[:, None]
         parts.append(part.tobytes())
     return b"".join(parts)
 
@@ -69,3 +70,9 @@ class Bodies:
                 self._drawn.clear()
             self._drawn[design] = triangles(body_scene(self._robot(), np.array(design)))
         return self._drawn[design]
+
+
+def _colors(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Colour of each face, (F, 4), from 0 to 255."""
+    colors = face_colors(mesh)
+    return np.full((len(mesh.faces), 4), (200, 200, 200, 255)) if colors is None else colors
