@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from deploy.page.style import BEST, INK, MUTED, figure, label
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
@@ -15,7 +16,6 @@ from rich.table import Table
 from benchmarks.bo_runs import library_versions, record_line
 from benchmarks.bo_statistics import OURS, PAPER, PEER, Bar, Results, Row, number
 from legged_codesign.provenance import described
-from legged_codesign.report.style import BEST, INK, MUTED, figure, label
 
 COLUMNS = (
     "problem",
@@ -96,7 +96,7 @@ def curves(results: Results) -> Figure:
     """Median regret against evaluations on each problem, with the quartiles of codesign-bo."""
     columns = min(3, len(results.problems) + 1)
     rows = -(-(len(results.problems) + 1) // columns)
-    made, axes = figure(3.7 * columns, 3.1 * rows, columns, rows)
+    made, axes = figure(3.7 * columns, 3.1 * rows, rows, columns)
     for ax, problem in zip(axes, results.problems, strict=False):
         _curves_on(ax, results, problem)
     for ax in axes[len(results.problems) :]:

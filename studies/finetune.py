@@ -17,6 +17,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from deploy.page.style import ACCENT, BEST, NOMINAL, figure, label
 from from_scratch import STUDIES
 from locorl import (
     EvalConfig,
@@ -36,8 +37,6 @@ from locorl.evaluation.plots import save
 from locorl.interfaces import Array, BodyFactory
 from matplotlib.figure import Figure
 from study import MIRRORED, RUNS, markdown_table, write_results
-
-from legged_codesign.report.style import ACCENT, BEST, NOMINAL, figure, label
 
 BODIES = ((1.0, 1.0, 1.0, 1.0), (0.6, 1.4, 0.6, 1.4), (1.4, 1.4, 0.6, 0.6))
 """Front thigh, front shank, hind thigh, hind shank."""

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from deploy.page.style import MUTED, figure, label
 from locorl import (
     EvalConfig,
     TaskConfig,
@@ -43,8 +44,6 @@ from study import (
     unseen_bodies,
     write_results,
 )
-
-from legged_codesign.report.style import MUTED, figure, label
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from typing import Any
 import distill
 import numpy as np
 import tyro
+from deploy.page.style import MUTED, figure, label
 from locorl import EvalConfig, read_metrics
 from locorl.evaluation.plots import save
 from locorl.interfaces import Array
@@ -25,7 +26,6 @@ from matplotlib.figure import Figure
 from study import RUNS, markdown_table, paired_difference, paired_ratio, write_results
 
 from legged_codesign.config import DistilConfig
-from legged_codesign.report.style import MUTED, figure, label
 from legged_codesign.student_run import StudentConfig, StudentRun
 
 FOLDER = RUNS / "student-depth"

@@ -20,7 +20,7 @@ from locorl import EvalConfig, evaluate, find_factory, load_policy, read_metrics
 from locorl.commands.evaluate import to_json
 
 from legged_codesign.provenance import provenance
-from legged_codesign.report.figures import pretraining
+from legged_codesign.report.training import pretraining
 
 PRETRAINED = Path(__file__).parents[1] / "src" / "legged_codesign" / "pretrained"
 BODIES, SEED = 100, 7

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
+import shlex
 import subprocess
+import sys
 from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -33,6 +35,11 @@ def provenance() -> dict[str, str]:
             continue
     commit = current_commit()
     return facts | ({"commit": commit} if commit else {})
+
+
+def command_line() -> str:
+    """The command that this process was started with."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def described(command: str, seed: object, facts: Mapping[str, str] | None = None) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import yaml
 from locorl.config import differences, from_dict, to_dict
 
 from legged_codesign.config import RunConfig
-from legged_codesign.provenance import provenance
+from legged_codesign.provenance import command_line, provenance
 from legged_codesign.robots import file_hash
 from legged_codesign.stages import RunError, write_text
 
@@ -116,7 +116,7 @@ def bind(folder: Path, config: Bound, what: str = "run") -> None:
     path = folder / "config.yaml"
     mine = to_dict(config)
     if path.exists():
-        stored = _stored(path)
+        stored = read_stored(folder)
         changes = differences(stored["config"], mine)
         if changes:
             raise RunError(
@@ -125,7 +125,12 @@ def bind(folder: Path, config: Bound, what: str = "run") -> None:
             )
         _check_robot(folder, config.robot, stored)
         return
-    content = {"config": mine, "robot_sha256": file_hash(config.robot), "provenance": provenance()}
+    content = {
+        "config": mine,
+        "robot_sha256": file_hash(config.robot),
+        "command": command_line(),
+        "provenance": provenance(),
+    }
     write_text(path, yaml.safe_dump(content, sort_keys=False))
 
 
@@ -135,10 +140,7 @@ def read_config(folder: Path) -> RunConfig:
     Raises:
         RunError: the folder holds no run, its configuration is damaged, or the robot's file has changed.
     """
-    path = folder / "config.yaml"
-    if not path.is_file():
-        raise RunError(f"{folder} holds no run: {path} is missing")
-    stored = _stored(path)
+    stored = read_stored(folder)
     config = from_dict(RunConfig, stored["config"])
     _check_robot(folder, config.robot, stored)
     return config
@@ -149,7 +151,15 @@ def _check_robot(folder: Path, robot: str, stored: Mapping[str, Any]) -> None:
         raise RunError(f"{robot} has changed since the run in {folder} began; restore it or choose another --folder")
 
 
-def _stored(path: Path) -> Mapping[str, Any]:
+def read_stored(folder: Path) -> Mapping[str, Any]:
+    """Content of config.yaml as it stands there: `config`, `robot_sha256`, `command`, `provenance`.
+
+    Raises:
+        RunError: the folder holds no run, or its configuration is damaged.
+    """
+    path = folder / "config.yaml"
+    if not path.is_file():
+        raise RunError(f"{folder} holds no run: {path} is missing")
     try:
         stored = yaml.safe_load(path.read_text(encoding="utf-8"))
         if not isinstance(stored["config"], Mapping):

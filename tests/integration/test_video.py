@@ -5,9 +5,9 @@ from __future__ import annotations
 import imageio_ffmpeg
 import numpy as np
 import pytest
+from legged_codesign.report.motion import load_scene, read_motion
 
 from legged_codesign.report import video
-from legged_codesign.report.motion import load_scene, read_motion
 
 
 @pytest.fixture

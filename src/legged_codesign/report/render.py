@@ -2,169 +2,194 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from morphgen import BodyFactory
-from morphgen.views.dimensions import dimensions
 from morphgen.views.drawing import draw_bodies
 
-from legged_codesign.config import RunConfig
+from legged_codesign.choice import Choice
+from legged_codesign.config import Objective, RunConfig
 from legged_codesign.objective import UNITS, physical
-from legged_codesign.report import figures
+from legged_codesign.report import screening, training
+from legged_codesign.report.bodies import changed_parts, length_rows, total_mass
+from legged_codesign.report.confirmation import confirmation, confirmed_rows, separability
 from legged_codesign.report.data import RunData, read_run
-from legged_codesign.report.motion import read_motion
-from legged_codesign.report.style import data_uri, svg
-from legged_codesign.report.video import make_video
+from legged_codesign.report.page import Picture, render
+from legged_codesign.report.search import search
+from legged_codesign.report.walk import walk
+from legged_codesign.run_folder import Files
 from legged_codesign.stages import write_text
+
+HEADINGS = {
+    "convergence": "Convergence",
+    "landscape": "Landscape",
+    "pairs": "Landscapes of all pairs",
+    "slices": "Along each parameter",
+    "sensitivity": "Sensitivity",
+    "calibration": "Calibration",
+    "pareto": "Return against energy",
+    "timeline": "Time line",
+}
 
 
 def write_report(folder: Path, config: RunConfig, factory: BodyFactory) -> Path:
-    """Write `folder/report.html` from what the run left on disk.
+    """Write `folder/report.html` from what the run left on disk; what is missing is said in words.
 
     Returns:
         Its path.
     """
-    data = read_run(folder)
-    video = folder / "video.mp4"
-    drawn = make_video(folder / "bundle" / "scene.xml", folder / "rollout.mcap", video)
-    names = factory.space.names
-    nominal = {name: float(data.trials[0].params[name]) for name in names}
-    bodies = np.array([[nominal[name] for name in names], data.choice.design(names)])
-    drawing = draw_bodies(factory, bodies, ["nominal", "best" if data.choice.trial else "best (the nominal body)"])
-    labels = {t.trial: ("nominal" if t.trial == 0 else f"body {t.trial}") for t in data.trials}
+    data, files = read_run(folder), Files(folder)
     objective = config.objective
-    images = {
-        "bodies": svg(drawing),
-        "history": svg(figures.search_history(data.trials, objective)),
-        "confirmation": svg(figures.confirmation(data.confirmations, data.gains, labels, objective)),
-        "fine_tuning": svg(figures.fine_tuning(data.trials, objective)),
-        "landscape": svg(figures.landscape(data.slices, data.choice.params, objective)),
-        "screening": svg(figures.screening(data.screening, objective)),
-        "power": svg(figures.joint_power(read_motion(folder / "rollout.mcap"))),
-        "pretraining": svg(figures.pretraining(data.pretrain)) if data.pretrain else "",
-    }
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("legged_codesign.report", "."),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template("template.html.j2").render(
+    page = render(
+        "report.html.j2",
+        **_head(data, config),
+        **_bodies(data, factory),
+        **_screened(data, config),
+        **_confirmed(data, objective),
         config=config,
-        data=data,
-        choice=data.choice,
-        verdict=data.choice.sentence(objective),
-        images=images,
-        video=data_uri(video.read_bytes(), "video/mp4"),
-        video_note=drawn,
         unit=UNITS[objective],
-        separable=separability(data),
-        confirmed=confirmed_rows(data, objective),
-        trials=trial_rows(data, config),
-        lengths=length_rows(factory, bodies),
-        space=names,
-        optimises=optimises(config),
+        space=factory.space.names,
+        walk=walk(data),
+        comparison=data.comparison,
+        judged=f"{config.distil.judged.robots_per_body} robots, {config.distil.judged.seconds:g} s",
+        optimises=training.optimises(config),
+        search=search(files.study, objective),
+        headings=HEADINGS,
+        fine_tuning=_fine_tuning(data, objective),
+        trials=trial_rows(data, objective),
+        pretraining=Picture.of(training.pretraining(data.pretrain)) if data.pretrain else None,
+        provenance=provenance_rows(data),
+        stages=data.stages,
     )
-    path = folder / "report.html"
-    write_text(path, page)
-    return path
+    write_text(files.report, page)
+    return files.report
 
 
-def separability(data: RunData) -> str:
-    """Could the search tell bodies apart beyond its noise? In words."""
-    scored = [t.result for t in data.trials if t.ok and t.result is not None]
-    spread = float(np.std([result.mean for result in scored]))
-    within = [
-        np.var([r.result.mean for r in data.confirmations if r.trial == body and r.result and r.result.ok], ddof=1)
-        for body in {r.trial for r in data.confirmations}
+def _head(data: RunData, config: RunConfig) -> dict[str, Any]:
+    choice = data.choice
+    subtitle = [
+        f"task {config.task}",
+        f"preset {config.preset}",
+        f"seed {config.seed}",
+        f"{len(data.trials)} bodies in the search",
     ]
-    noise = float(np.sqrt(np.mean(within)))
-    times = spread / noise if noise > 0 else float("inf")
-    verdict = "could" if times > 2 else "could hardly"
-    return (
-        f"The search {verdict} tell bodies apart: their scores spread by {spread:.4f} (standard deviation), "
-        f"{times:.0f} times the {noise:.4f} by which one body's score varies between fine-tuning seeds. "
-        f"{100 * data.loo:.0f} % of the trials lie inside the 95 % interval that the Gaussian process predicts for "
-        "them from the others."
-    )
+    if choice is not None:
+        subtitle.append(f"{len(data.gains)} confirmed against the nominal one on {choice.seeds} fresh seeds")
+    return {
+        "title": f"Co-design of {config.robot} for {config.objective}",
+        "subtitle": ", ".join(subtitle),
+        "verdict": verdict(data, config.objective),
+        "improved": bool(choice and choice.trial and choice.significant),
+        "choice": choice,
+        "chosen_trial": None if choice is None else choice.trial,
+        "rollout": data.rollout,
+    }
 
 
-def optimises(config: RunConfig) -> str:
-    """Does fine-tuning optimise what the search scores? In words."""
-    weight = config.finetune.specific_power
-    if config.objective == "return":
-        return "Fine-tuning maximises the discounted reward whose undiscounted sum the search scores (eq. 9)."
-    return (
-        f"Fine-tuning does not optimise {config.objective} alone: its reward is the generalist's (velocity tracking "
-        f"and smoothness) plus {weight:g} times positive mechanical power over body weight, which is cost of transport "
-        "times speed. The search scores the latter only, with a penalty on tracking errors "
-        f"above {config.score.max_error:g} m/s."
-    )
+def verdict(data: RunData, objective: Objective) -> str:
+    """What came out, or how far the run got."""
+    if data.choice is not None:
+        return data.choice.sentence(objective)
+    finished = [t for t in data.trials if t.result is not None]
+    if finished and all(t.failed for t in finished):
+        return f"no body was chosen: all {len(finished)} trials failed; their messages are in the trial table"
+    return f"no body was chosen yet: the run stopped after {len(finished)} trials; its command goes on from there"
 
 
-def confirmed_rows(data: RunData, objective: Any) -> list[dict[str, Any]]:
-    """Means over the fresh seeds for the nominal body and each confirmed one."""
-    rows = []
-    gains = {gain.trial: gain for gain in data.gains}
-    for body in (0, *gains):
-        results = [r.result for r in data.confirmations if r.trial == body and r.result is not None and r.result.ok]
-        extras = {name: float(np.mean([r.extras.get(name, np.nan) for r in results])) for name in results[0].extras}
-        rows.append(
-            {
-                "name": "nominal" if body == 0 else f"body {body}",
-                "params": data.trials[body].params,
-                "score": physical(float(np.mean([r.mean for r in results])), objective),
-                "gain": gains.get(body),
-                "robots": sum(r.n for r in results),
-                "survived": sum(r.extras["survived"] for r in results),
-                **{name: extras.get(name, float("nan")) for name in ("return", "tracking_error", "distance", "energy")},
-                "cost_of_transport": extras.get("cost_of_transport", float("nan")),
-            }
-        )
-    return rows
+def _bodies(data: RunData, factory: BodyFactory) -> dict[str, Any]:
+    names = factory.space.names
+    first = data.nominal or dict(zip(names, factory.space.nominal, strict=True))
+    nominal = np.array([first[name] for name in names])
+    caption = "Each in its stance, seen from the right; the front is on the right. Lengths in mm with their scales."
+    choice = data.choice
+    if choice is None:
+        return {"drawing": Picture.of(draw_bodies(factory, nominal[None], ["nominal"]), caption)}
+    chosen = choice.design(names)
+    bodies = np.array([nominal, chosen])
+    return {
+        "drawing": Picture.of(draw_bodies(factory, bodies, ["nominal", _chosen_label(choice)]), caption),
+        "lengths": length_rows(factory, bodies),
+        "parts": changed_parts(factory, nominal, chosen),
+        "masses": [total_mass(factory, body) for body in bodies],
+    }
 
 
-def trial_rows(data: RunData, config: RunConfig) -> list[dict[str, Any]]:
+def _chosen_label(choice: Choice) -> str:
+    return "chosen" if choice.trial else "chosen (the nominal body)"
+
+
+def _screened(data: RunData, config: RunConfig) -> dict[str, Any]:
+    rows, objective, robots = data.screening, config.objective, config.screen.robots
+    if not rows:
+        return {"screened": Picture("", "no body has been screened"), "failures": None}
+    caption = f"Zero-step scores of {len(rows)} bodies under the generalist; the best became the first trials."
+    shown = Picture.of(screening.scores(rows, objective), caption)
+    if not screening.told(rows):
+        return {
+            "screened": shown,
+            "failures": Picture("", "this run's screening kept scores only: who failed is not known"),
+            "failing": [],
+        }
+    fell = screening.failing(rows, robots)
+    return {
+        "screened": shown,
+        "failures": Picture.of(screening.failures(rows, robots), screening.in_words(rows, robots)),
+        "failing": [
+            {**row, "body": "nominal" if i == 0 else i, "score": physical(row["score"], objective), "robots": robots}
+            for i, row in fell[: screening.WORST]
+        ],
+        "failing_total": len(fell),
+    }
+
+
+def _confirmed(data: RunData, objective: Objective) -> dict[str, Any]:
+    if not data.gains:
+        return {"confirmed": []}
+    labels = {t.trial: ("nominal" if t.trial == 0 else f"body {t.trial}") for t in data.trials}
+    return {
+        "confirmed": confirmed_rows(data, objective),
+        "confirmation": Picture.of(confirmation(data.confirmations, data.gains, labels, objective)),
+        "separable": separability(data),
+    }
+
+
+def _fine_tuning(data: RunData, objective: Objective) -> Picture:
+    made = training.fine_tuning(data.trials, objective)
+    return Picture("", "no trial has a learning curve") if made is None else Picture.of(made)
+
+
+def trial_rows(data: RunData, objective: Objective) -> list[dict[str, Any]]:
     """The trial table."""
     rows = []
     for t in data.trials:
-        result = t.result
-        ok = result is not None and result.ok
+        result = t.result if t.ok else None
         rows.append(
             {
                 "trial": t.trial,
                 "params": t.params,
                 "origin": t.origin,
                 "status": t.status,
-                "score": physical(result.mean, config.objective) if ok and result else None,
-                "sem": result.sem if ok and result else None,
-                "tracking_error": result.extras.get("tracking_error") if ok and result else None,
-                "survived": f"{result.extras['survived']:.0f}/{result.n}" if ok and result else "",
+                "message": t.result.message if t.result is not None else "",
+                "score": None if result is None else physical(result.mean, objective),
+                "sem": None if result is None else result.sem,
+                "extras": {} if result is None else result.extras,
+                "survived": "" if result is None else f"{result.extras.get('survived', float('nan')):.0f}/{result.n}",
             }
         )
     return rows
 
 
-def length_rows(factory: BodyFactory, bodies: np.ndarray) -> list[Mapping[str, Any]]:
-    """Dimensions of both bodies, in mm and kg."""
-    nominal, best = (dimensions(factory, body) for body in bodies)
-    rows = []
-    for key, value in nominal.items():
-        name, unit = key.rsplit("_", 1)
-        scale, shown = (1000.0, "mm") if unit == "m" else (1.0, unit)
-        change = 100 * (best[key] / value - 1) if value else 0.0
-        rows.append(
-            {
-                "name": name.replace("_", " "),
-                "unit": shown,
-                "nominal": scale * value,
-                "best": scale * best[key],
-                "change": change,
-            }
-        )
-    return rows
+def provenance_rows(data: RunData) -> list[tuple[str, str]]:
+    """How to make the run again: command, seed, commit, machine, versions."""
+    facts = dict(data.provenance)
+    machine = f"{facts.pop('processor', 'unknown')}, {facts.pop('cores', '?')} cores, {facts.pop('system', '')}"
+    first = {
+        "command": data.command or "not recorded",
+        "seed": str(data.settings.get("seed", "unknown")),
+        "commit": facts.pop("commit", "unknown (not run from a checkout)"),
+        "machine": machine,
+    }
+    versions = ", ".join(f"{name} {value}" for name, value in facts.items())
+    return [*first.items(), ("versions", versions)]

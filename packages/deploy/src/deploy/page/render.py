@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import os
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from deploy.logs.reading import Log, read_log
 from deploy.measure.account import EnergyAccount, account
 from deploy.measure.summary import RunSummary, summarise
 from deploy.page import figures
-from deploy.page.style import BEST, data_uri, png, svg
+from deploy.page.style import BEST, data_uri, png, stylesheet, svg
 from deploy.page.video import make_video
 
 
@@ -54,7 +53,6 @@ def render(log: Log, video_seconds: float) -> str:
         energy = account(log)
     except LogError:  # a run that ended before the policy had control has a page all the same
         energy = None
-    css = files("deploy.page").joinpath("page.css").read_text(encoding="utf-8")
     command = ", ".join(f"{value:g}" for value in summary.command)
     body = ", ".join(f"{name} {value:g}" for name, value in summary.design.items())
     title = f"{summary.bundle} on {summary.robot}"
@@ -82,7 +80,7 @@ def render(log: Log, video_seconds: float) -> str:
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{_text(title)}</title>\n<style>{css}</style>\n</head>\n<body>\n"
+        f"<title>{_text(title)}</title>\n<style>{stylesheet()}</style>\n</head>\n<body>\n"
         + "\n".join(parts)
         + "\n</body>\n</html>\n"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+from importlib.resources import files
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -57,3 +58,8 @@ def png(made: Figure, dpi: int = 110) -> bytes:
 def data_uri(data: bytes, kind: str) -> str:
     """Bytes as a data URI, so that the page needs no other file."""
     return f"data:{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def stylesheet() -> str:
+    """The CSS of a page."""
+    return files("deploy.page").joinpath("page.css").read_text(encoding="utf-8")
