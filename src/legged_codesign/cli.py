@@ -10,6 +10,7 @@ from deploy import DeployError
 from rich.console import Console
 from rich.markup import escape
 
+from legged_codesign.commands.compare import Compare
 from legged_codesign.commands.report import Report
 from legged_codesign.commands.run import Run
 from legged_codesign.commands.status import Status
@@ -21,7 +22,7 @@ console = Console()
 
 def main() -> None:
     """Entry point of the `codesign` command."""
-    command = tyro.cli(Run | Student | Status | Watch | Report, prog="codesign", description=__doc__)
+    command = tyro.cli(Run | Student | Status | Watch | Report | Compare, prog="codesign", description=__doc__)
     try:
         command.run(console)
     except KeyboardInterrupt:

@@ -62,7 +62,7 @@ def confirmed_rows(data: RunData, objective: Objective) -> list[dict[str, Any]]:
                 "score": physical(float(np.mean([r.mean for r in results])), objective) if results else None,
                 "gain": gains.get(body),
                 "robots": sum(r.n for r in results),
-                "survived": sum(r.extras.get("survived", 0.0) for r in results),
+                **{name: sum(r.extras.get(name, np.nan) for r in results) for name in ("survived", "succeeded")},
                 "extras": extras,
             }
         )

@@ -52,9 +52,7 @@ def failures(rows: Sequence[Mapping[str, Any]], robots: int) -> Figure:
     for index, (ax, name) in enumerate(zip(axes, varied, strict=False)):
         values = np.array([float(row["params"][name]) for row in rows])
         ax.plot(values[~failed], errors[~failed], "o", color=BEST, markersize=4, label="all robots came through")
-        ax.plot(
-            values[failed], errors[failed], "x", color=ACCENT, markersize=6, mew=1.6, label="a robot fell or got stuck"
-        )
+        ax.plot(values[failed], errors[failed], "x", color=ACCENT, markersize=6, mew=1.6, label="a robot failed")
         ax.plot(values[:1], errors[:1], "s", color=INK, markersize=7, fillstyle="none", label="nominal")
         ax.set_ylim(bottom=0.0, top=1.08 * max(float(errors.max()), 1e-3))
         label(ax, name.replace("_", " "), "tracking error, m/s" if index % columns == 0 else "")

@@ -77,7 +77,7 @@ def search(study: Path, objective: Objective) -> Search:
 
 
 def front(trials: Sequence[TrialRecord]) -> Picture:
-    """Return against energy of every body on which all robots stayed up, and those that no other beats in both.
+    """Return against energy of every body on which all robots came through, and those that no other beats in both.
 
     A robot that falls early spends little: bodies that fell would pass for frugal ones.
     """
@@ -86,10 +86,10 @@ def front(trials: Sequence[TrialRecord]) -> Picture:
         (t.trial, t.result.extras[gain], t.result.extras[cost])
         for t in trials
         if t.ok and t.result is not None and {gain, cost} <= set(t.result.extras)
-        if t.result.extras.get("survived", t.result.n) == t.result.n
+        if all(t.result.extras.get(name, t.result.n) == t.result.n for name in ("survived", "succeeded"))
     ]
     if not kept:
-        return Picture("", "no front: on no body did all robots stay up to the end")
+        return Picture("", "no front: on no body did all robots come through")
     values = np.array([row[1:] for row in kept], dtype=float)
     drawn = Front(
         names=("", cost),
@@ -103,7 +103,9 @@ def front(trials: Sequence[TrialRecord]) -> Picture:
     made = drawn.figure(labels)
     headline(made, "Numbers: trials on the front")
     scored = sum(t.ok for t in trials)
-    left_out = f" {scored - len(kept)} bodies on which a robot fell are left out." if scored > len(kept) else ""
+    left_out = (
+        f" {scored - len(kept)} bodies on which a robot fell or got stuck are left out." if scored > len(kept) else ""
+    )
     return Picture.of(made, drawn.sentence(labels) + left_out)
 
 
