@@ -116,9 +116,8 @@ def summary_rows(runs: Sequence[Run]) -> list[list[str]]:
         return value
 
     def score(run: Run) -> str:
-        return " → ".join(
-            number(physical(mean, run.objective), "%.4g") for mean in (run.choice.nominal, run.choice.mean)
-        )
+        both = (physical(mean, run.objective) for mean in (run.choice.nominal, run.choice.mean))
+        return " → ".join(number(value, "%.4g") for value in both)
 
     def share(name: str) -> Any:
         def value(run: Run) -> str:
