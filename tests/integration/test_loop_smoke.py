@@ -179,7 +179,7 @@ def test_report_has_every_section(page: _Page) -> None:
         "The student walking",
         "Best against nominal",
         "The search",
-        "Joint power",
+        "Bodies under the generalist",
         "Pre-training",
         "Provenance",
     ]
@@ -198,6 +198,13 @@ def test_report_shows_a_video(page: _Page) -> None:
     (video,) = [source for tag, source in page.sources if tag == "video"]
     assert video.startswith("data:video/mp4;base64,")
     assert len(video) > 5_000
+
+
+def test_report_says_how_it_was_made(finished, page: _Page) -> None:
+    text = " ".join(" ".join(page.text).split())
+    assert f"--preset smoke --folder {finished.folder}" in text
+    for stage in ("pretrain", "search", "deploy"):
+        assert stage in text
 
 
 def test_report_says_the_verdict_and_its_interval(page: _Page, choice: Choice) -> None:

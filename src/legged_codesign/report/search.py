@@ -17,14 +17,16 @@ from codesign_bo.plots.sensitivity import Importance
 from codesign_bo.plots.style import headline
 from codesign_bo.records import TrialRecord
 from codesign_bo.sensitivity import sensitivity
+from locorl.interfaces import Array
+from matplotlib.axes import Axes
 
 from legged_codesign.config import Objective
 from legged_codesign.report.page import Picture
 
 _OBJECTIVE = {
     "return": "return",
-    "energy": "score (energy in J, negated)",
-    "cost-of-transport": "score (cost of transport, negated)",
+    "energy": "negated energy in J",
+    "cost-of-transport": "negated cost of transport",
 }
 
 GAIN_AND_COST = ("return", "energy")
@@ -69,7 +71,7 @@ def search(study: Path, objective: Objective) -> Search:
                 continue
             made = picture.figure(labels)
             if name == "convergence":
-                _fit_to_walkers(made.axes[0], _scores(view))
+                _fit_to_scores(made.axes[0], _scores(view))
             pictures[name] = Picture.of(made, picture.sentence(labels))
         if not view.objectives:
             pictures["pareto"] = front(view.trials())
@@ -102,22 +104,18 @@ def front(trials: Sequence[TrialRecord]) -> Picture:
     labels = Labels(gain, {cost: "J"})
     made = drawn.figure(labels)
     headline(made, "Numbers: trials on the front")
-    scored = sum(t.ok for t in trials)
-    left_out = (
-        f" {scored - len(kept)} bodies on which a robot fell or got stuck are left out." if scored > len(kept) else ""
-    )
+    failed = sum(t.ok for t in trials) - len(kept)
+    left_out = f" Left out: {failed} on which a robot fell or got stuck." if failed else ""
     return Picture.of(made, drawn.sentence(labels) + left_out)
 
 
-def _scores(view: StudyView) -> np.ndarray:
+def _scores(view: StudyView) -> Array:
     return np.array([t.result.mean for t in view.trials() if t.ok and t.result is not None])
 
 
-def _fit_to_walkers(ax: object, values: np.ndarray) -> None:
-    """A body that cannot walk is capped far off; let it not flatten the others."""
-    if not len(values):
-        return
+def _fit_to_scores(ax: Axes, values: Array) -> None:
+    """Let the scores fill the picture: not the first wide band, nor a body that cannot walk, capped far off."""
     ordinary = values[np.abs(values) < 3 * np.median(np.abs(values))]
-    if len(ordinary) > 1 and len(ordinary) < len(values):
-        margin = 0.15 * (ordinary.max() - ordinary.min() + 1e-9)
-        ax.set_ylim(ordinary.min() - margin, ordinary.max() + margin)  # pyright: ignore[reportAttributeAccessIssue]
+    if len(ordinary) > 1 and np.ptp(ordinary) > 0:
+        margin = 0.25 * np.ptp(ordinary)
+        ax.set_ylim(ordinary.min() - margin, ordinary.max() + margin)
