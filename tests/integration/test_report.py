@@ -31,6 +31,7 @@ from legged_codesign.stages import RunError
 
 LEGS = ("front_thigh", "front_shank", "hind_thigh", "hind_shank")
 SPACE = BoxSpace.box(list(LEGS), 0.6, 1.4, 1.0).fix({"front_thigh": 1.0, "hind_thigh": 1.0})
+TRIALS = 12
 NOISE = (-0.01, 0.0, 0.02)
 
 
@@ -62,8 +63,8 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         folder.mkdir()
         config = preset("smoke", "return")
         bind(folder, replace(config, seed=seed))
-        with Study(SPACE, folder / "study.sqlite", seed=seed, n_init=5) as study:
-            study.run(callback, until=6)
+        with Study(SPACE, folder / "study.sqlite", seed=seed, n_init=TRIALS) as study:
+            study.run(callback, until=TRIALS)
             if confirm:
                 study.confirm(callback, 1, 3)
                 (folder / "choice.json").write_text(choose(study).to_json())
@@ -156,8 +157,8 @@ def test_search_in_which_all_trials_failed(make: Callable[..., Path]) -> None:
     assert found.pictures["slices"].words
     assert not found.pictures["slices"].markup
     assert found.checks[0].severity == "error"
-    assert "6 of 6 trials failed" in " ".join(check.sentence for check in found.checks)
-    assert "all 6 trials failed" in verdict(data, "return")
+    assert f"{TRIALS} of {TRIALS} trials failed" in " ".join(check.sentence for check in found.checks)
+    assert f"all {TRIALS} trials failed" in verdict(data, "return")
 
 
 def test_search_that_has_not_begun(tmp_path: Path) -> None:
@@ -279,7 +280,7 @@ def test_best_so_far_is_relative_to_the_nominal_body(made: Path) -> None:
     values = [score(dict(t.params)) for t in data.trials]
     by_hand = [max(values[: i + 1]) / 13.0 - 1.0 for i in range(len(values))]  # the nominal body scores 10 + 4 - 1
     numbers, gains = best_so_far(data)
-    assert list(numbers) == list(range(6))
+    assert list(numbers) == list(range(TRIALS))
     np.testing.assert_allclose(gains, by_hand)
 
 

@@ -122,7 +122,9 @@ def summary_rows(runs: Sequence[Run]) -> list[list[str]]:
     def share(name: str) -> Any:
         def value(run: Run) -> str:
             rows = [run.row(trial) for trial in (0, run.choice.trial)]
-            return " → ".join(f"{number(row[name], '%.0f')}/{row['robots']}" for row in rows)
+            if any(np.isnan(row[name]) for row in rows):
+                return "–"
+            return " → ".join(f"{row[name]:.0f}/{row['robots']}" for row in rows)
 
         return value
 

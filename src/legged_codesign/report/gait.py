@@ -161,7 +161,7 @@ def diagram(contacts: Contacts) -> Figure:
     end = float(contacts.time[window][-1]) + period
     for y, row in enumerate(contacts.touching[window].T):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(int), [0]])))
-        spans = [(contacts.time[a], (b - a) * period) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        spans = [(float(contacts.time[a]), float(b - a) * period) for a, b in zip(edges[::2], edges[1::2], strict=True)]
         # legs on a diagonal share a colour, which shows a trot at once
         ax.broken_barh(spans, (y - 0.36, 0.72), color=BEST if y in (0, 3) else NOMINAL, linewidth=0)
         ax.annotate(

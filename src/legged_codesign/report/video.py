@@ -47,7 +47,7 @@ def still_frame(clip: Path) -> bytes:
     count, _ = imageio_ffmpeg.count_frames_and_secs(str(clip))
     frames: Any = imageio_ffmpeg.read_frames(str(clip))
     width, height = next(frames)["size"]
-    raw = next(islice(frames, count // 2, None))
+    raw = next(islice(frames, (count or 0) // 2, None))
     frames.close()
     buffer: Any = io.BytesIO()
     imsave(buffer, np.frombuffer(raw, np.uint8).reshape(height, width, 3), format="png")
