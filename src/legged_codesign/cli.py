@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from legged_codesign.commands.compare import Compare
+from legged_codesign.commands.doctor import Doctor
 from legged_codesign.commands.report import Report
 from legged_codesign.commands.run import Run
 from legged_codesign.commands.status import Status
@@ -22,7 +23,9 @@ console = Console()
 
 def main() -> None:
     """Entry point of the `codesign` command."""
-    command = tyro.cli(Run | Student | Status | Watch | Report | Compare, prog="codesign", description=__doc__)
+    command = tyro.cli(
+        Run | Student | Status | Watch | Report | Compare | Doctor, prog="codesign", description=__doc__
+    )
     try:
         command.run(console)
     except KeyboardInterrupt:

@@ -7,6 +7,11 @@ from pathlib import Path
 _HERE = Path(__file__).parent
 
 
+def shipped_policies() -> dict[str, Path]:
+    """Path of each shipped policy by its name, such as `go2-rough`."""
+    return {path.parent.name: path for path in sorted(_HERE.glob("*/policy.pt"))}
+
+
 def shipped_policy(robot: str, task: str = "flat") -> Path:
     """Path of the generalist shipped for a robot and a task.
 
@@ -15,7 +20,7 @@ def shipped_policy(robot: str, task: str = "flat") -> Path:
     """
     path = _HERE / f"{robot}-{task}" / "policy.pt"
     if not path.is_file():
-        known = ", ".join(sorted(p.parent.name for p in _HERE.glob("*/policy.pt"))) or "none"
+        known = ", ".join(shipped_policies()) or "none"
         raise FileNotFoundError(
             f"no generalist ships for robot '{robot}' and task '{task}' (there is: {known}); "
             "train one with codesign run --from-scratch"
@@ -32,5 +37,5 @@ def shipped(policy: str) -> Path:
     for path in (_HERE / policy / "policy.pt", Path(policy)):
         if path.is_file():
             return path
-    known = ", ".join(sorted(p.parent.name for p in _HERE.glob("*/policy.pt"))) or "none"
+    known = ", ".join(shipped_policies()) or "none"
     raise FileNotFoundError(f"no policy '{policy}': give the path of one, or a shipped one (there is: {known})")
