@@ -27,6 +27,7 @@ Rule = Literal["paper", "stretch", "lumped"]
 Joints, collisions and visuals stretch alike under every rule.
 """
 RULES: tuple[str, ...] = get_args(Rule)
+"""How mass and inertia follow the length of a link."""
 
 
 @dataclass(frozen=True)
