@@ -7,7 +7,7 @@ EDITABLE := $(foreach p,$(PACKAGES),-e packages/$(p)[test])
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: install demo test test-all test-alone real-robots real-robots-files robot-drivers lint format bench clean
+.PHONY: install demo test test-all test-alone real-robots real-robots-files robot-drivers lint format docs bench clean
 
 install: $(STAMP)
 
@@ -52,6 +52,11 @@ format: install
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# the site, in site/index.html; opens without a network
+docs: install
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	$(BIN)/python tools/docs/check_links.py site
+
 bench: install
 	$(BIN)/python benchmarks/env_overhead.py
 	$(BIN)/python benchmarks/simulators.py $(if $(MJX),--mjx $(MJX))
@@ -60,5 +65,5 @@ bench: install
 	$(BIN)/python benchmarks/morphgen.py
 
 clean:
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -18,6 +18,8 @@ PACKAGES = {
 """Folder of each package's source."""
 HIDDEN = ("cli", "commands")
 """Modules of the command line, which has pages of its own."""
+
+
 class Api:
     """The public names of all packages and the pages that show them.
 
@@ -64,7 +66,6 @@ class Api:
         lines += [f"| [`{name}.{child.name}`]({child.name}.md) | {_first(child)} |" for child in _children(module)]
         return "\n".join(lines) + "\n"
 
-
     def _object(self, place: str) -> griffe.Object | griffe.Alias:
         head, _, rest = place.partition(".")
         return self._packages[head][rest]
@@ -86,7 +87,7 @@ def _modules(module: griffe.Object | griffe.Alias) -> Iterator[griffe.Object | g
 
 
 def _place(module: griffe.Object | griffe.Alias, name: str) -> str:
-    """Where a name is defined. A function may hide the module of its own name, as `distill.train`: it is the function."""
+    """Where a name is defined. A function may hide the module of its own name, as `distill.train`: the function counts."""
     found = module[name]
     if found.is_module and name.rpartition(".")[2] in found.members and name in (module.exports or ()):
         found = found[name]
