@@ -87,7 +87,7 @@ def _modules(module: griffe.Object | griffe.Alias) -> Iterator[griffe.Object | g
 
 
 def _place(module: griffe.Object | griffe.Alias, name: str) -> str:
-    """Where a name is defined. A function may hide the module of its own name, as `distill.train`: the function counts."""
+    """Where a name is defined. A function may hide the module of its own name, as `distill.train`."""
     found = module[name]
     if found.is_module and name.rpartition(".")[2] in found.members and name in (module.exports or ()):
         found = found[name]
