@@ -23,9 +23,7 @@ console = Console()
 
 def main() -> None:
     """Entry point of the `codesign` command."""
-    command = tyro.cli(
-        Run | Student | Status | Watch | Report | Compare | Doctor, prog="codesign", description=__doc__
-    )
+    command = tyro.cli(Run | Student | Status | Watch | Report | Compare | Doctor, prog="codesign", description=__doc__)
     try:
         command.run(console)
     except KeyboardInterrupt:
