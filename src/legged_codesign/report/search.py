@@ -115,7 +115,7 @@ def _scores(view: StudyView) -> Array:
 
 def _fit_to_scores(ax: Axes, values: Array) -> None:
     """Let the scores fill the picture: not the first wide band, nor a body that cannot walk, capped far off."""
-    ordinary = values[np.abs(values) < 3 * np.median(np.abs(values))]
+    ordinary = values[np.abs(values) < 3 * np.median(np.abs(values))] if len(values) else values
     if len(ordinary) > 1 and np.ptp(ordinary) > 0:
         margin = 0.25 * np.ptp(ordinary)
         ax.set_ylim(ordinary.min() - margin, ordinary.max() + margin)
