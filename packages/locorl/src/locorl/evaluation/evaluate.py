@@ -209,7 +209,8 @@ def evaluate(
     settle = round(config.settle / env.dt)
     obs = env.reset(seed=config.seed)
     if len(env.terrain.difficulty) > 1:
-        obs = env.reset_on(*_tiles(config, bodies, *env.terrain.obstacle.shape, env.device))
+        levels, columns = env.terrain.obstacle.shape
+        obs = env.reset_on(*_tiles(config, bodies, levels, columns, env.device))
     actor.reset()
     asked = env.command[:, 0].clone()
     course = _course(env, (bodies, robots))
