@@ -55,7 +55,7 @@ def script(monkeypatch, *returns: float) -> list[int]:
     """Let the evaluations in between find these returns, in order, by robots that differ by 1."""
     calls: list[int] = []
 
-    def scripted(policy, factory, designs, task, config, threads):
+    def scripted(policy, factory, designs, task, config, threads, simulator):
         calls.append(len(calls))
         values = returns[len(calls) - 1] + np.array([[-1.0, 0.0, 1.0]])
         return SimpleNamespace(returns=values, energy=values, survived=np.ones((1, 3), dtype=bool))
