@@ -7,7 +7,7 @@ EDITABLE := $(foreach p,$(PACKAGES),-e packages/$(p)[test])
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: install demo test test-all test-alone real-robots real-robots-files robot-drivers lint format docs bench clean
+.PHONY: install demo test test-all test-alone real-robots real-robots-files robot-drivers clusters lint format docs bench clean
 
 install: $(STAMP)
 
@@ -23,7 +23,7 @@ demo: install
 test: lint
 	$(BIN)/pytest -m "not slow"
 
-test-all: real-robots-files robot-drivers lint
+test-all: real-robots-files robot-drivers clusters lint
 	$(BIN)/pytest
 	$(MAKE) test-alone
 
@@ -35,6 +35,10 @@ real-robots-files: install
 # cameras and robots over DDS, and the vendor's message definitions; the C++ runner's test takes cmake from the system
 robot-drivers: install
 	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/deploy[realsense,test-unitree]
+
+# Ray and submitit, for trials on many machines
+clusters: install
+	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/codesign_bo[ray,slurm]
 
 real-robots: real-robots-files
 	$(BIN)/pytest tests/morphgen/test_morphgen_real_robots.py
