@@ -18,17 +18,15 @@ PACKAGES = (
     "legged-codesign-bo",
     "legged-distill",
     "legged-deploy",
-    "mujoco",
-    "torch",
-    "numpy",
 )
+"""The project's own distributions."""
 
 
 def provenance() -> dict[str, str]:
     """Versions, processor, cores and, inside a checkout, the commit (with `+changes` if it was edited)."""
     facts = {"python": platform.python_version(), "system": platform.platform(), "processor": _processor()}
     facts["cores"] = str(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count())
-    for name in PACKAGES:
+    for name in (*PACKAGES, "mujoco", "torch", "numpy"):
         try:
             facts[name] = version(name)
         except PackageNotFoundError:

@@ -14,15 +14,8 @@ from packaging.specifiers import SpecifierSet
 
 from legged_codesign.doctor.finding import Finding
 from legged_codesign.pretrained import shipped_policies
+from legged_codesign.provenance import PACKAGES
 
-PACKAGES = (
-    "legged-codesign",
-    "legged-morphgen",
-    "legged-locorl",
-    "legged-codesign-bo",
-    "legged-distill",
-    "legged-deploy",
-)
 EXTRAS = {
     ("legged-morphgen", "viewer"): "`morphgen view`, the robot in the browser",
     ("legged-morphgen", "real-robots"): "vendors' URDFs for the tests, 270 MB",
