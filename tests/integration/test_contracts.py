@@ -16,9 +16,10 @@ import torch
 from deploy.interfaces import JointCommand, RobotState
 from deploy.policy.observation import ObservationBuilder
 from deploy.robots.mujoco_robot import MujocoRobot
-from legged_codesign.student import bundle_spec
 from locorl import LeggedEnv, Policy, TaskConfig, no_randomisation, sample_designs
 from morphgen import BodyFactory
+
+from legged_codesign.bundle import bundle_spec
 
 PACKAGES = ("morphgen", "locorl", "codesign_bo", "distill", "deploy")
 ROOT = Path(__file__).parents[2]

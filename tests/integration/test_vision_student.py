@@ -14,7 +14,6 @@ import pytest
 import torch
 from deploy.logs.messages import Sample
 from distill.vision import Convolution
-from legged_codesign.student import bundle_spec
 from locorl import (
     DepthConfig,
     LeggedEnv,
@@ -29,6 +28,7 @@ from locorl import (
 )
 from locorl.adapters.vision import VisionEnv, with_camera
 
+from legged_codesign.bundle import bundle_spec
 from legged_codesign.pretrained import shipped_policy
 
 ROBOTS, PAST, PROPRIO = 8, 4, 49
