@@ -40,6 +40,7 @@ class Legs:
 
     def foot_rate(self, qpos: Tensor, qvel: Tensor) -> Tensor:
         """Angular velocity of each foot, world axes, (N, legs, 3), rad/s, from qpos (N, 19) and qvel (N, 18)."""
+        qpos, qvel = qpos.double(), qvel.double()  # a GPU's simulator has single precision
         angle = qpos[:, 7:].view(-1, *self._shape) - self._zero
         sin, cos = angle.sin()[..., None], angle.cos()[..., None]
         turning = qvel[:, 6:].view(-1, *self._shape)[..., None] * self._axis
