@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from locorl.config import to_dict
+from locorl.config import leaves, to_dict
 from morphgen import BodyFactory
 from rich.console import Console
 from rich.table import Table
@@ -104,12 +103,12 @@ def settings(config: RunConfig, factory: BodyFactory) -> list[Setting]:
     """Every number of a run, with its source."""
     drive, space = factory.drive, factory.space
     body = {"body.kp": drive.kp, "body.kd": drive.kd, "body.low": space.low.tolist(), "body.high": space.high.tolist()}
-    paper = dict(_leaves(to_dict(preset("paper", config.objective, config.task))))
+    paper = dict(leaves(to_dict(preset("paper", config.objective, config.task))))
     # morphgen's defaults are the paper's
     paper |= {"body.kp": 40.0, "body.kd": 0.7, "body.low": [0.6] * 4, "body.high": [1.4] * 4}
     return [
         Setting(name, value, _source(name, value, paper.get(name)))
-        for name, value in {**dict(_leaves(to_dict(config))), **body}.items()
+        for name, value in {**dict(leaves(to_dict(config))), **body}.items()
     ]
 
 
@@ -130,14 +129,6 @@ def _source(name: str, value: object, papers: object) -> str:
         return "ours"
     source = SOURCES[max(prefixes, key=len)]
     return source if value == papers else f"ours; {_short(papers)} by {source}"
-
-
-def _leaves(data: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, object]]:
-    for name, value in data.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _short(value: object) -> str:

@@ -13,7 +13,7 @@ from deploy import LogError
 from deploy.measure.account import account
 from deploy.page.figures import compared_power
 from deploy.page.style import BEST, INK, OTHERS, figure, label
-from locorl.config import from_dict
+from locorl.config import from_dict, leaves
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from morphgen import BodyFactory
@@ -160,18 +160,10 @@ def _gain(run: Run) -> str:
 
 def differing(runs: Sequence[Run]) -> list[tuple[str, list[str]]]:
     """Settings that are not the same in all runs: name, and the value in each."""
-    flat = [_flattened(run.data.settings) for run in runs]
+    flat = [dict(leaves(run.data.settings)) for run in runs]
     names = sorted({name for settings in flat for name in settings})
     rows = [(name, [str(settings.get(name, "–")) for settings in flat]) for name in names]
     return [(name, values) for name, values in rows if len(set(values)) > 1]
-
-
-def _flattened(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in settings.items():
-        inside = isinstance(value, Mapping) and value
-        flat |= _flattened(value, f"{prefix}{name}.") if inside else {f"{prefix}{name}": value}
-    return flat
 
 
 def convergence(runs: Sequence[Run]) -> Figure:
