@@ -7,7 +7,6 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -117,12 +116,7 @@ def on(
     *kinds: str, difficulty: tuple[float, float] = (0.0, 1.0), levels: int = 10
 ) -> Callable[[TaskConfig], TaskConfig]:
     """The task on other ground."""
-
-    def change(task: TaskConfig) -> TaskConfig:
-        terrain = replace(task.terrain, kinds=kinds, columns=len(kinds), difficulty=difficulty, levels=levels)
-        return replace(task, terrain=terrain)
-
-    return change
+    return lambda task: task.on(kinds, difficulty=difficulty, levels=levels)
 
 
 def write_results(name: str, summary: Sequence[str], facts: Mapping[str, Any], seeds: Sequence[int]) -> Path:

@@ -54,9 +54,9 @@ class Generalist:
 GENERALISTS: Mapping[str, Generalist] = {
     "go2-flat": Generalist(
         (
-            "runs/generalist --iterations 160 --seed 1 --mirror",
+            "runs/generalist --iterations 320 --seed 1 --mirror",
             # thrifty
-            "runs/efficient --start runs/generalist/policy.pt --iterations 240 --seed 2 --mirror "
+            "runs/efficient --start runs/generalist/policy.pt --iterations 160 --seed 2 --mirror "
             "--task.reward.specific-power -2 --ppo.learning-rate 5e-4",
         )
     ),

@@ -33,7 +33,6 @@ from legged_codesign.robots import BodyConfig, body_factory
 from legged_codesign.run_folder import bind
 from legged_codesign.run_log import LoggedConsole
 from legged_codesign.stages import Stage, locked, run_stages, write_text
-from legged_codesign.tasks import on
 
 _FILMED = 4
 """Robot that is filmed: on a map of ten levels, one of middling difficulty."""
@@ -250,7 +249,7 @@ class StudentRun:
 
     def _ground(self, task: TaskConfig) -> TaskConfig:
         """The task on the chosen kinds of terrain."""
-        return on(task, self.config.terrain) if self.config.terrain else task
+        return task.on(self.config.terrain) if self.config.terrain else task
 
     @staticmethod
     def _onboard(task: TaskConfig) -> TaskConfig:

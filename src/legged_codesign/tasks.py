@@ -59,7 +59,7 @@ def pretraining_task(name: TaskName, preset: Literal["laptop", "paper"]) -> Task
     chosen = find_task(name)
     task = make_task(chosen.pretraining, preset)
     kinds = task.terrain.kinds
-    return on(task, (*kinds, *(kind for kind in chosen.kinds if kind not in kinds)))
+    return task.on((*kinds, *(kind for kind in chosen.kinds if kind not in kinds)))
 
 
 def searched_task(name: TaskName, trained: TaskConfig) -> TaskConfig:
@@ -70,14 +70,7 @@ def searched_task(name: TaskName, trained: TaskConfig) -> TaskConfig:
     chosen = find_task(name)
     if trained.terrain.kinds == chosen.kinds:
         return trained
-    return replace(on(trained, chosen.kinds), name=chosen.task)
-
-
-def on(task: TaskConfig, kinds: tuple[str, ...]) -> TaskConfig:
-    """The task on these kinds of terrain, with a column of the map for each where it had one for each."""
-    terrain = task.terrain
-    columns = None if terrain.columns is None else len(kinds)
-    return replace(task, terrain=replace(terrain, kinds=kinds, columns=columns))
+    return replace(trained.on(chosen.kinds), name=chosen.task)
 
 
 def find_task(name: str) -> RunTask:

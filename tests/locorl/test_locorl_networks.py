@@ -134,6 +134,17 @@ def test_layers_are_torchs_own_and_their_gradients_too():
         torch.testing.assert_close(a, b)
 
 
+def test_columns_that_are_data_get_no_gradient_and_change_no_other():
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(torch.nn.Linear(6, 4), torch.nn.ELU(), torch.nn.Linear(4, 2)).double()
+    x = torch.randn(9, 6, dtype=torch.float64, requires_grad=True)
+    wanted = (x, *network.parameters())
+    found, truth = (torch.autograd.grad(y.square().sum(), wanted) for y in (run(network, x, known=4), network(x)))
+    assert not found[0][:, :4].any()
+    torch.testing.assert_close(found[0][:, 4:], truth[0][:, 4:])
+    torch.testing.assert_close(found[1:], truth[1:])
+
+
 @pytest.mark.parametrize("leading", [(), (0,), (4,), (2, 3)])
 def test_layers_keep_leading_dimensions(leading):
     network = torch.nn.Sequential(torch.nn.Linear(3, 5), torch.nn.ELU(), torch.nn.Linear(5, 2))

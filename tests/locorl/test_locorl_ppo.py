@@ -10,7 +10,7 @@ import pytest
 import torch
 from locorl import PPO, ActorCritic, DivergedError, PPOConfig
 from locorl.learning.losses import clipped_surrogate, clipped_value_loss, gaussian_kl
-from locorl.learning.parallel import Backward
+from locorl.learning.parallel import Backward, threads_for
 from locorl.learning.storage import Minibatch, Rollout
 from locorl_target import DIMS, NETWORK, TargetEnv, make_ppo
 from torch.distributions import Independent, Normal, kl_divergence
@@ -105,6 +105,19 @@ def test_minibatches_visit_each_transition_once():
         check_columns(each)
     again = torch.cat([batch.value for batch in rollout.minibatches(4, generator)])
     assert not torch.equal(again, visited)
+
+
+@pytest.mark.parametrize(("rows", "used"), [(1, 1), (4095, 1), (4096, 2), (1_000_000, 2)])
+def test_little_work_gets_few_threads(rows, used):
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(ZeroDivisionError), threads_for(rows):
+            assert torch.get_num_threads() == used
+            raise ZeroDivisionError
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize("parts", [2, 3])

@@ -9,7 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from locorl import TASKS, LeggedEnv, RandomisationConfig, TaskConfig, flat_scene, make_task, no_randomisation
+from locorl import (
+    TASKS,
+    LeggedEnv,
+    RandomisationConfig,
+    TaskConfig,
+    TerrainMap,
+    flat_scene,
+    make_task,
+    no_randomisation,
+)
 from locorl.config import from_dict, to_dict
 from locorl.env.depth_camera import DepthConfig
 from locorl.rewards.terms import TERMS
@@ -37,6 +46,19 @@ def test_a_task_comes_back_from_json(name, preset):
     task = make_task(name, preset)
     assert task.name == name
     assert from_dict(TaskConfig, json.loads(json.dumps(to_dict(task)))) == task
+
+
+@pytest.mark.parametrize(
+    ("preset", "columns"), [("laptop", ["hills", "steps_up"]), ("paper", ["hills", "steps_up"] * 2)]
+)
+def test_a_task_on_other_ground_has_as_many_columns_of_each_kind(preset, columns):
+    task = make_task("locomotion-steps", preset).on(["hills", "steps_up"], levels=2)
+    terrain = TerrainMap(task.terrain)
+    assert list(terrain.kinds) == columns
+    assert terrain.origins.shape[:2] == (2, len(columns))
+    assert replace(task, terrain=make_task("locomotion-steps", preset).terrain) == make_task("locomotion-steps", preset)
+    with pytest.raises(ValueError, match="need a kind"):
+        task.on([])
 
 
 @pytest.mark.parametrize(("name", "preset"), [("locomotion-moon", "laptop"), ("locomotion-flat", "pocket")])

@@ -148,8 +148,7 @@ def parkour_depth(
 def _task(task: str, preset: Preset, terrain: Sequence[str], policy: str | None, history: int) -> TaskConfig:
     config = make_task(task, preset) if policy is None else load_policy(Path(policy)).card.task
     if terrain:
-        kinds = tuple(terrain)
-        config = replace(config, terrain=replace(config.terrain, kinds=kinds, columns=len(kinds)))
+        config = config.on(terrain)
     return replace(config, observation=replace(config.observation, history=history))
 
 

@@ -106,7 +106,8 @@ class ActorCritic(nn.Module):
         """What the actor's last layer sees, (N, last hidden size)."""
         scan = () if self.scan_encoder is None else (self.scan_latent(obs),)
         seen = torch.cat((obs["proprio"], *scan, obs["explicit"], self.latent(obs)), dim=-1)
-        return run(list(self.actor)[:-1], seen)
+        known = 0 if obs["proprio"].requires_grad else obs["proprio"].shape[-1]
+        return run(list(self.actor)[:-1], seen, known)
 
     def act(self, obs: Obs) -> Tensor:
         """Mean action, (N, num_actions)."""

@@ -17,7 +17,7 @@ from locorl.learning.gradient import Descent
 from locorl.learning.hooks import RolloutHook
 from locorl.learning.losses import clipped_surrogate, clipped_value_loss, gaussian_kl
 from locorl.learning.networks import ActorCritic, Obs
-from locorl.learning.parallel import Backward
+from locorl.learning.parallel import Backward, threads_for
 from locorl.learning.regularisers import make_regulariser
 from locorl.learning.stats import RolloutStats
 from locorl.learning.storage import Minibatch, Mirror, Rollout, evaluate_rows
@@ -100,7 +100,8 @@ class PPO:
         for t in range(rollout.steps):
             rollout.observe(t, current)
             mean, action = rollout.mean[t], rollout.action[t]
-            mean.copy_(self.model.act(self._seen(current)))
+            with threads_for(rollout.num_envs):
+                mean.copy_(self.model.act(self._seen(current)))
             if not mean.isfinite().all():
                 self._stop(self._bad_observation(t) or find_fault("action", "the action", mean[None], t))
             action.mul_(std).add_(mean)

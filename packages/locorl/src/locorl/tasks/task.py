@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from locorl.env.commands import CommandConfig
 from locorl.env.depth_camera import DepthConfig
@@ -57,6 +59,20 @@ class TaskConfig:
             "action scale, rad": self.action_scale,
             "action clip": self.action_clip,
         }
+
+    def on(self, kinds: Sequence[str], **terrain: Any) -> TaskConfig:
+        """The task on these kinds of terrain: one column of the map for each, or two where two are the rule here.
+
+        Args:
+            kinds: of terrain.
+            terrain: other settings of `TerrainConfig` to change.
+
+        Raises:
+            ValueError: no such map can be made.
+        """
+        columns = None if self.terrain.columns is None else len(kinds)
+        changed = {"kinds": tuple(kinds), "columns": columns, **terrain}
+        return replace(self, terrain=replace(self.terrain, **changed))
 
     @property
     def episode_steps(self) -> int:
