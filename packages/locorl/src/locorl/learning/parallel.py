@@ -10,10 +10,8 @@ from types import TracebackType
 import torch
 from torch import Tensor, nn
 
-from locorl.learning.storage import Minibatch
-
-Loss = Callable[[Minibatch], tuple[Tensor, dict[str, Tensor]]]
-"""Loss () of a minibatch, a mean over its rows, and numbers () that are means too."""
+Loss = Callable[[Tensor], tuple[Tensor, dict[str, Tensor]]]
+"""Loss () of the transitions in these rows (B,), a mean over them, and numbers () that are means too."""
 
 _MOST = 4
 """More parts would wait for Python's lock instead of each other."""
@@ -68,23 +66,22 @@ class Backward:
         """End them."""
         self._stack.close()
 
-    def __call__(self, loss: Loss, batch: Minibatch) -> dict[str, Tensor]:
-        """Put the gradient of `loss(batch)` in place of the one before; returns its numbers."""
+    def __call__(self, loss: Loss, rows: Tensor) -> dict[str, Tensor]:
+        """Put the gradient of `loss(rows)` in place of the one before; returns its numbers."""
         if self._parts == 1:
             for parameter in self._parameters:
                 parameter.grad = None
-            whole, numbers = loss(batch)
+            whole, numbers = loss(rows)
             whole.backward()
             return numbers
-        rows = len(batch.action)
 
-        def part_of(part: Minibatch) -> tuple[tuple[Tensor | None, ...], dict[str, Tensor]]:
-            share = len(part.action) / rows
+        def part_of(part: Tensor) -> tuple[tuple[Tensor | None, ...], dict[str, Tensor]]:
+            share = len(part) / len(rows)
             value, numbers = loss(part)
             gradient = torch.autograd.grad(share * value, self._parameters, allow_unused=True)
             return gradient, {name: share * number.detach() for name, number in numbers.items()}
 
-        found = list(self._pool.map(part_of, batch.split(self._parts)))
+        found = list(self._pool.map(part_of, rows.tensor_split(self._parts)))
         for parameter, gradients in zip(self._parameters, zip(*(each for each, _ in found), strict=True), strict=True):
             parts = [gradient for gradient in gradients if gradient is not None]
             parameter.grad = torch.stack(parts).sum(dim=0) if parts else None

@@ -195,9 +195,9 @@ class PPO:
         old_std = self.model.std().detach().clone()
         with self._backward() as backward:
             rows = [
-                self._step(batch, old_std, backward)
+                self._step(minibatch, old_std, backward)
                 for _ in range(config.epochs)
-                for batch in rollout.minibatches(config.minibatches, self.generator)
+                for minibatch in rollout.shuffle(config.minibatches, self.generator)
             ]
         stats |= {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
         stats |= self._regulariser.after_update(rollout)
@@ -210,9 +210,10 @@ class PPO:
         parameters = self._descent.parameters
         return Backward(parameters, 1) if self.hooks else Backward.on(self.model.log_std.device, parameters)
 
-    def _step(self, batch: Minibatch, old_std: Tensor, backward: Backward) -> dict[str, float]:
-        """One step of the optimiser; losses, KL divergence and gradient norm."""
-        found = self._descent.settle(**backward(lambda part: self._loss(part, old_std), batch))
+    def _step(self, minibatch: Tensor, old_std: Tensor, backward: Backward) -> dict[str, float]:
+        """One step of the optimiser, on these rows of the rollout; losses, KL divergence and gradient norm."""
+        numbers = backward(lambda rows: self._loss(self.rollout.pick(rows), old_std), minibatch)
+        found = self._descent.settle(**numbers)
         self._adapt(found["kl"])
         self.optimizer.step()
         return found

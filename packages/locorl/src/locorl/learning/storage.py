@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import torch
@@ -33,13 +33,6 @@ class Minibatch(NamedTuple):
     value: Tensor
     advantage: Tensor
     target: Tensor
-
-    def split(self, count: int) -> Iterator[Minibatch]:
-        """`count` parts of about equally many rows, in order, without copying."""
-        obs = zip(*(values.tensor_split(count) for values in self.obs.values()), strict=True)
-        columns = zip(*(column.tensor_split(count) for column in self[1:]), strict=True)
-        for seen, part in zip(obs, columns, strict=True):
-            yield Minibatch(dict(zip(self.obs, seen, strict=True)), *part)
 
     def with_mirror_image(self, mirror: Mirror) -> Minibatch:
         """These transitions and after them their mirror images, 2 B rows.
@@ -97,16 +90,16 @@ class Rollout:
         for group, values in self.states.items():
             values[t] = obs[group]
 
-    def minibatches(self, count: int, generator: torch.Generator) -> Iterator[Minibatch]:
-        """Shuffle all T N transitions into `count` minibatches; each transition is visited once."""
-        total = self.steps * self.num_envs
-        order = torch.randperm(total, generator=generator, device=self.reward.device)
-        obs = {group: values.view(total, -1) for group, values in self.obs.items()}
-        wide = [column.view(total, -1) for column in (self.action, self.mean)]
-        narrow = [column.view(total) for column in (self.log_prob, self.value, self.advantage, self.target)]
-        for rows in order.tensor_split(count):
-            picked = {group: values.index_select(0, rows) for group, values in obs.items()}
-            yield Minibatch(picked, *(column.index_select(0, rows) for column in (*wide, *narrow)))
+    def shuffle(self, count: int, generator: torch.Generator) -> Sequence[Tensor]:
+        """All T N transitions shuffled into `count` minibatches, each once: their rows, (B,) each."""
+        order = torch.randperm(self.steps * self.num_envs, generator=generator, device=self.reward.device)
+        return order.tensor_split(count)
+
+    def pick(self, rows: Tensor) -> Minibatch:
+        """The transitions of these rows (B,)."""
+        obs = {group: values.flatten(0, 1).index_select(0, rows) for group, values in self.obs.items()}
+        columns = (self.action, self.mean, self.log_prob, self.value, self.advantage, self.target)
+        return Minibatch(obs, *(column.flatten(0, 1).index_select(0, rows) for column in columns))
 
 
 def evaluate_rows(network: Callable[[Mapping[str, Tensor]], Tensor], obs: Mapping[str, Tensor]) -> Tensor:
