@@ -13,7 +13,7 @@ def evaluate(request: EvalRequest) -> EvalResult:
     x = np.array(list(request.params.values()))
     if x.sum() > 2.7:
         return EvalResult.failure("infeasible", "the robot hits the ceiling")
-    returns = np.random.default_rng(request.seed).normal(10.0 - 25.0 * np.sum((x - 1.2) ** 2), 1.0, 16)
+    returns = np.random.default_rng((request.seed, request.trial)).normal(10.0 - 25.0 * np.sum((x - 1.2) ** 2), 1.0, 16)
     return EvalResult(mean=returns.mean(), sem=returns.std(ddof=1) / 4.0, n=16)
 
 
