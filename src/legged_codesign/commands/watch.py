@@ -37,9 +37,11 @@ class Watch:
         if state.status == "no run":
             raise RunError(f"{state.words}; start one with `codesign run`, or name another folder")
         with WatchServer(folder, self.port) as server:
-            console.print(f"{folder}: {state.words}", highlight=False, markup=False, soft_wrap=True)
-            console.print(f"open {server.url} (Ctrl-C ends this page, not the run)", highlight=False, soft_wrap=True)
             try:
+                console.print(f"{folder}: {state.words}", highlight=False, markup=False, soft_wrap=True)
+                console.print(
+                    f"open {server.url} (Ctrl-C ends this page, not the run)", highlight=False, soft_wrap=True
+                )
                 server.serve_forever()
             except KeyboardInterrupt:
                 console.print("\nthe page is closed; the run is not touched")
