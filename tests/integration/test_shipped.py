@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from locorl import EvalConfig, Policy, evaluate, load_policy, sample_designs
 from locorl.config import from_dict
 from locorl.training.trainer import TrainConfig
@@ -102,3 +103,21 @@ def test_it_walks_on_bodies_drawn_now(generalist: Policy, robot: BodyFactory) ->
 def test_unknown_robot_names_what_ships() -> None:
     with pytest.raises(FileNotFoundError, match=r"'spot'.*go2-flat.*--from-scratch"):
         shipped_policy("spot")
+
+
+def test_the_policy_acts_as_its_weights_say():
+    path = shipped_policy("go2", "flat")
+    policy = load_policy(path)
+    torch.manual_seed(0)
+    obs = {group: torch.randn(5, size) for group, size in policy.card.dims.items()}
+    weights = torch.load(path, weights_only=True)["model"]
+
+    def forward(network: str, x: torch.Tensor) -> torch.Tensor:
+        numbers = sorted({int(name.split(".")[1]) for name in weights if name.startswith(f"{network}.")})
+        for number in numbers:
+            x = x @ weights[f"{network}.{number}.weight"].T + weights[f"{network}.{number}.bias"]
+            x = x if number == numbers[-1] else torch.where(x > 0, x, x.exp() - 1)
+        return x
+
+    seen = torch.cat((obs["proprio"], obs["explicit"], forward("encoder", obs["implicit"])), dim=1)
+    torch.testing.assert_close(policy.act(obs), forward("actor", seen))

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
-from pathlib import Path
-
 import pytest
 import torch
-from locorl import ActorCritic, NetworkConfig, load_policy
+from locorl import ActorCritic, NetworkConfig
 from locorl.learning.layers import run
 from torch.distributions import Independent, Normal
 
@@ -81,24 +78,6 @@ def test_without_a_scan_the_layout_is_the_one_of_shipped_policies():
     torch.testing.assert_close(model.value(obs), model.critic(complete).squeeze(1))
     with pytest.raises(ValueError, match="no scan encoder"):
         model.scan_latent(obs)
-
-
-def test_the_shipped_policy_acts_as_its_weights_say():
-    path = Path(str(files("legged_codesign"))) / "pretrained" / "go2-flat" / "policy.pt"
-    policy = load_policy(path)
-    torch.manual_seed(0)
-    obs = draw(dict(policy.card.dims))
-    weights = torch.load(path, weights_only=True)["model"]
-
-    def forward(network: str, x: torch.Tensor) -> torch.Tensor:
-        numbers = sorted({int(name.split(".")[1]) for name in weights if name.startswith(f"{network}.")})
-        for number in numbers:
-            x = x @ weights[f"{network}.{number}.weight"].T + weights[f"{network}.{number}.bias"]
-            x = x if number == numbers[-1] else torch.where(x > 0, x, x.exp() - 1)
-        return x
-
-    seen = torch.cat((obs["proprio"], obs["explicit"], forward("encoder", obs["implicit"])), dim=1)
-    torch.testing.assert_close(policy.act(obs), forward("actor", seen))
 
 
 def test_log_prob_and_entropy_against_torch(rough):
