@@ -17,12 +17,9 @@ class TestSubmititLocal(ExecutorContract):
     def executor(self, tmp_path):
         # its jobs end by this signal, which is ignored by what a shell has started in the background
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
-        yield from self._executor(tmp_path)
-        signal.signal(signal.SIGINT, before)
-
-    def _executor(self, tmp_path):
         with SlurmExecutor(2, tmp_path / "jobs", timeout_min=5, cluster="local") as executor:
             yield executor
+        signal.signal(signal.SIGINT, before)
 
 
 # Jobs are numbered, have a file <number>.state for sacct, and run in a session of their own.
