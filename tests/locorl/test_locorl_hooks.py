@@ -86,6 +86,61 @@ def test_the_actor_acts_on_what_the_hook_shows_and_the_rollout_keeps_the_truth()
         torch.testing.assert_close(rollout.value, ppo.model.value(rollout.obs))  # the critic knows the truth
 
 
+class Remembering(Silent):
+    """Shows a latent in place of the encoder's."""
+
+    def observe(self, obs):
+        return {**obs, "latent": torch.full((len(obs["proprio"]), NETWORK.latent), 0.3)}
+
+
+class Flip:
+    """A symmetry of the stand-in's observations and actions."""
+
+    def observation(self, obs):
+        return {group: -values for group, values in obs.items()}
+
+    def action(self, action):
+        return -action
+
+
+@pytest.mark.parametrize("mirror", [None, Flip()], ids=["plain", "mirrored"])
+@pytest.mark.parametrize("hooks", [(Estimator,), (Remembering,), (Estimator, Remembering)])
+def test_the_actor_learns_on_what_it_saw(hooks, mirror):
+    torch.manual_seed(0)
+    made, env = [hook() for hook in hooks], TargetEnv()
+    for number, hook in enumerate(made):
+        hook.name = str(number)
+    config = PPOConfig(steps=4, epochs=1, minibatches=1, mirror=mirror is not None)
+    ppo = PPO(ActorCritic(DIMS, 2, NETWORK), config, 32, DIMS, 0, mirror=mirror, hooks=made)
+    ppo.collect(env, env.observe())
+    # the first minibatch is that of the policy that acted
+    assert ppo.update()["kl"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_images_of_what_the_actor_saw_are_mirrored_with_it():
+    env = TargetEnv()
+    ppo = make(Estimator(), Remembering())
+    ppo.collect(env, env.observe())
+    batch = ppo.rollout.pick(torch.arange(6)).with_mirror_image(Flip())
+    seen, image = batch.seen
+    assert torch.equal(image["explicit"], -seen["explicit"])
+    assert not torch.equal(seen["explicit"], batch.obs["explicit"][:6])
+    assert "latent" in seen
+    assert "latent" not in image
+    assert all(torch.equal(batch.obs[group][:6], ppo.rollout.obs[group].flatten(0, 1)[:6]) for group in DIMS)
+
+
+def test_hooks_that_change_their_minds_within_a_rollout_are_refused():
+    class Fickle(Silent):
+        def observe(self, obs):
+            self.seen.append(obs)
+            return {**obs, "explicit": obs["explicit"] + 1.0} if len(self.seen) > 2 else obs
+
+    env = TargetEnv()
+    with pytest.raises(ValueError, match=r"showed \[\] at step 0 of a rollout, \['explicit'\] at step 2"):
+        make(Fickle()).collect(env, env.observe())
+
+
 def test_hooks_are_called_in_order():
     hook, env = Estimator(), TargetEnv()
     ppo = make(hook, epochs=1, minibatches=2)

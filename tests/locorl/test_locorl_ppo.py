@@ -70,7 +70,7 @@ def test_the_clipped_value_loss_by_hand(old, target, expected):
 def batch(log_prob=0.0, advantage=0.0, value=0.0, target=0.0) -> Minibatch:
     """One transition, of which a loss sees these numbers alone."""
     numbers = (torch.tensor([x]) for x in (log_prob, value, advantage, target))
-    return Minibatch({}, torch.zeros(1, 2), torch.zeros(1, 2), *numbers)
+    return Minibatch({}, ({},), torch.zeros(1, 2), torch.zeros(1, 2), *numbers)
 
 
 def numbered_rollout(steps: int, num_envs: int) -> Rollout:

@@ -16,7 +16,8 @@ class VelocityEstimation:
     """A rollout hook that learns the base velocity from proprioception, and has the policy act on it.
 
     The estimate is supervised with simulator truth in every iteration (paper, section III-D). Once the policy acts on
-    it, the rollouts hold what comes of its errors; losses and values of PPO go on seeing the truth.
+    it, PPO improves it on the estimates that it saw, so that it learns to live with their errors; values go on seeing
+    the truth.
 
     Args:
         adaptation: whose estimator is trained.

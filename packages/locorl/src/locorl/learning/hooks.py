@@ -30,8 +30,8 @@ class RolloutHook(Protocol):
     def observe(self, obs: Obs) -> Obs:
         """What the actor sees instead of `obs`, group -> (N, dim); `obs` itself must stay as it is.
 
-        The rollout keeps `obs`, and the action's likelihood under what the actor did see: the likelihood ratio of
-        PPO is that of the policy on the true observation to the policy that acted.
+        It may replace a group, or add `latent`, the same ones at each step of a rollout. The rollout keeps both: the
+        actor learns on what it saw, critic and hooks on `obs`.
         """
         ...
 

@@ -101,7 +101,9 @@ class PPO:
             rollout.observe(t, current)
             mean, action = rollout.mean[t], rollout.action[t]
             with threads_for(rollout.num_envs):
-                mean.copy_(self.model.act(self._seen(current)))
+                seen = self._seen(current)
+                mean.copy_(self.model.act(seen))
+            rollout.show(t, current, seen)
             if not mean.isfinite().all():
                 self._stop(self._bad_observation(t) or find_fault("action", "the action", mean[None], t))
             action.mul_(std).add_(mean)
@@ -223,7 +225,7 @@ class PPO:
         config, model, rows = self.config, self.model, len(batch.action)
         if self.mirror is not None:
             batch = batch.with_mirror_image(self.mirror)
-        mean, value = model.act(batch.obs), model.value(batch.obs)
+        mean, value = torch.cat([model.act(seen) for seen in batch.seen]), model.value(batch.obs)
         surrogate = clipped_surrogate(model.log_prob(mean, batch.action), batch, config.clip)
         value_loss = clipped_value_loss(value, batch, config.clip)
         with torch.no_grad():  # of the policy that acted: its mirror image may be another one

@@ -27,6 +27,8 @@ class Minibatch(NamedTuple):
     """B transitions: observation group -> (B, dim), and (B, ...) tensors of the same rows."""
 
     obs: dict[str, Tensor]
+    seen: tuple[dict[str, Tensor], ...]
+    """What the actor saw of them, some rows after the other: `obs` itself, unless hooks showed it something else."""
     action: Tensor
     mean: Tensor
     log_prob: Tensor
@@ -42,10 +44,16 @@ class Minibatch(NamedTuple):
         likelihood ratio is the importance weight of the policy that did draw the sample, whether the old policy was
         symmetric or not. Were the old policy asked about the mirrored pair instead, the ratio would start at 1, but
         for a sample that this policy has not drawn, and images of rare actions would count as much as likely ones.
+
+        What hooks showed in place of an observation is mirrored too; a latent is not, it has no known symmetry.
         """
         image = mirror.observation(self.obs)
+        obs = {group: torch.cat((values, image[group])) for group, values in self.obs.items()}
+        (seen,) = self.seen
+        shown = seen is not self.obs
         return Minibatch(
-            {group: torch.cat((values, image[group])) for group, values in self.obs.items()},
+            obs,
+            (seen, dict(mirror.observation({group: seen[group] for group in self.obs}))) if shown else (obs,),
             torch.cat((self.action, mirror.action(self.action))),
             torch.cat((self.mean, mirror.action(self.mean))),
             *(column.repeat(2) for column in (self.log_prob, self.value, self.advantage, self.target)),
@@ -79,6 +87,8 @@ class Rollout:
         """Observations s_0 to s_T, group -> (T + 1, N, dim)."""
         self.obs = {group: values[:-1] for group, values in self.states.items()}
         """Those that were acted on, (T, N, dim); the same memory."""
+        self.shown: dict[str, Tensor] = {}
+        """What the actor saw in place of an observation group or of the latent, group -> (T, N, dim)."""
         self.action, self.mean = empty(num_actions), empty(num_actions)
         self.log_prob, self.reward, self.value, self.next_value = empty(), empty(), empty(), empty()
         self.advantage, self.target = empty(), empty()
@@ -90,6 +100,20 @@ class Rollout:
         for group, values in self.states.items():
             values[t] = obs[group]
 
+    def show(self, t: int, obs: Mapping[str, Tensor], seen: Mapping[str, Tensor]) -> None:
+        """Keep where `seen`, what the actor saw at step t, is not `obs`; group -> (N, dim).
+
+        Raises:
+            ValueError: other groups differ than at step 0.
+        """
+        changed = {group: values for group, values in seen.items() if values is not obs.get(group)}
+        if t == 0:
+            self.shown = {g: values.new_zeros(self.steps, *values.shape) for g, values in changed.items()}
+        if changed.keys() != self.shown.keys():
+            raise ValueError(f"hooks showed {sorted(self.shown)} at step 0 of a rollout, {sorted(changed)} at step {t}")
+        for group, values in changed.items():
+            self.shown[group][t] = values
+
     def shuffle(self, count: int, generator: torch.Generator) -> Sequence[Tensor]:
         """All T N transitions shuffled into `count` minibatches, each once: their rows, (B,) each."""
         order = torch.randperm(self.steps * self.num_envs, generator=generator, device=self.reward.device)
@@ -97,9 +121,14 @@ class Rollout:
 
     def pick(self, rows: Tensor) -> Minibatch:
         """The transitions of these rows (B,)."""
-        obs = {group: values.flatten(0, 1).index_select(0, rows) for group, values in self.obs.items()}
+
+        def of(values: Tensor) -> Tensor:
+            return values.flatten(0, 1).index_select(0, rows)
+
+        obs = {group: of(values) for group, values in self.obs.items()}
+        seen = {**obs, **{group: of(values) for group, values in self.shown.items()}} if self.shown else obs
         columns = (self.action, self.mean, self.log_prob, self.value, self.advantage, self.target)
-        return Minibatch(obs, *(column.flatten(0, 1).index_select(0, rows) for column in columns))
+        return Minibatch(obs, (seen,), *map(of, columns))
 
 
 def evaluate_rows(network: Callable[[Mapping[str, Tensor]], Tensor], obs: Mapping[str, Tensor]) -> Tensor:
