@@ -29,8 +29,7 @@ class AdaptConfig:
     schedule: distill.RoaSchedule = field(default_factory=distill.RoaSchedule)
     """Regularisation (from 0 to 0.1 at once) and adaptation phases."""
     estimate_after: int | None = None
-    """Iterations after which the teacher acts on the estimated velocity; None: never. A short fine-tune is better
-    without: on one frame of proprioception alone the teacher's speed error rises from 0.03 to 0.09 m/s."""
+    """Iterations after which the teacher acts on the estimated velocity; None: never, which suits a short fine-tune."""
 
     @property
     def past(self) -> int:

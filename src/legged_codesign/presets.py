@@ -182,7 +182,12 @@ def _paper(task: TaskName) -> RunConfig:
         score=ScoreConfig(vx=speed, seconds=20.0, robots=250, max_error=0.3),
         distil=DistilConfig(
             depth=True,
-            adapt=AdaptConfig(finetune=tune, schedule=distill.RoaSchedule(every=20), estimate_after=10),
+            adapt=AdaptConfig(
+                finetune=tune,
+                networks=distill.AdaptationConfig(estimator_frames=1),
+                schedule=distill.RoaSchedule(every=20),
+                estimate_after=10,
+            ),
             robots=128,
             vision=distill.VisionTrainConfig(iterations=5000, rollout_steps=120, memory=1, updates=1, batch=128),
             vision_student=distill.VisionStudentConfig(depth=distill.DepthEncoderConfig.large()),

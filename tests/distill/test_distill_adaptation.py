@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 import torch
@@ -91,10 +91,28 @@ def test_neither_reads_the_headings():
     proprio, window = torch.randn(3, PROPRIO), torch.randn(3, 3, PROPRIO).flatten(1)
     other = proprio.clone()
     other[:, HEADING] += 1.0
-    assert torch.equal(adaptation.velocity(proprio), adaptation.velocity(other))
-    one, two = (adaptation.window({"proprio": each, "history": window}) for each in (proprio, other))
+    one, two, changed = (
+        adaptation.window({"proprio": each, "history": window}) for each in (proprio, other, proprio + 1.0)
+    )
+    assert torch.equal(adaptation.velocity(one), adaptation.velocity(two))
     assert torch.equal(adaptation.latent(one), adaptation.latent(two))
-    assert not torch.equal(adaptation.velocity(proprio), adaptation.velocity(proprio + 1.0))
+    assert not torch.equal(adaptation.velocity(one), adaptation.velocity(changed))
+
+
+@pytest.mark.parametrize(("frames", "read"), [(None, 4), (1, 1), (3, 3)])
+def test_the_estimator_reads_the_newest_frames(frames, read):
+    config = AdaptationConfig(history=4, estimator=(8,), estimator_frames=frames)
+    adaptation, window = AdaptationModule(PROPRIO, 3, config), torch.randn(2, 4, PROPRIO)
+    estimate = adaptation.velocity(window)
+    for age in range(4):
+        other = window.clone()
+        other[:, 3 - age] += 1.0
+        assert torch.equal(estimate, adaptation.velocity(other)) == (age >= read)
+
+
+def test_an_estimator_cannot_read_more_frames_than_there_are():
+    with pytest.raises(ValueError, match="estimator_frames is 5; expected 1 to history, 4"):
+        AdaptationConfig(history=4, estimator_frames=5)
 
 
 def test_latents_of_many_windows_are_those_of_each():
@@ -128,7 +146,7 @@ def test_both_are_read_back_from_a_file(tmp_path):
     assert (loaded.config, loaded.blank) == (adaptation.config, BLANK)
     windows = torch.randn(2, 4, PROPRIO)
     assert torch.equal(loaded.latent(windows), adaptation.latent(windows))
-    assert torch.equal(loaded.velocity(windows[:, -1]), adaptation.velocity(windows[:, -1]))
+    assert torch.equal(loaded.velocity(windows), adaptation.velocity(windows))
     torch.save({"format": 2, "adaptation": {"proprio": 3}}, tmp_path / "half.pt")
     with pytest.raises(CheckpointError, match=r"half\.pt: holds no complete"):
         load_adaptation(tmp_path / "half.pt")
@@ -162,7 +180,8 @@ def test_the_weight_never_falls_and_stays_in_range(start, ramp, weight, iteratio
 
 
 def test_the_estimator_learns_the_velocity_and_is_used_after_a_while():
-    env, teacher, adaptation = VisionToy(64), VisionToyTeacher(), make()
+    env, teacher = VisionToy(64, history=3), VisionToyTeacher()
+    adaptation = make(replace(SMALL, estimator_frames=1))  # the toy's frame tells all
     hook = VelocityEstimation(adaptation, use_after=30, fit=FitConfig(learning_rate=1e-2))
     obs, errors = env.reset(seed=1), []
     for iteration in range(40):
@@ -174,7 +193,7 @@ def test_the_estimator_learns_the_velocity_and_is_used_after_a_while():
         assert metrics["used"] == float(iteration >= 30)
         errors.append(metrics["error"])
     shown = hook.observe(obs)
-    assert torch.equal(shown["explicit"], adaptation.velocity(obs["proprio"]))
+    assert torch.equal(shown["explicit"], adaptation.velocity(adaptation.window(obs)))
     assert (shown["explicit"] - obs["explicit"]).square().mean().sqrt() < 0.05
     assert errors[-1] < 0.05 < errors[0]
     assert hook.loss(rollout) is None
@@ -297,6 +316,7 @@ def test_the_adapted_teacher_acts_on_what_sensors_give():
     blinded = {**obs, "implicit": torch.full_like(obs["implicit"], 7.0), "explicit": torch.full((4, 3), 7.0)}
     assert torch.equal(action, AdaptedTeacher(teacher, adaptation).act(blinded))
     with torch.no_grad():
-        velocity, latent = adaptation.velocity(obs["proprio"]), adaptation.latent(adaptation.window(obs))
+        window = adaptation.window(obs)
+        velocity, latent = adaptation.velocity(window), adaptation.latent(window)
         expected = teacher.actor(torch.cat((obs["proprio"], obs["scan"], velocity, latent), dim=1))
     assert torch.equal(action, expected)

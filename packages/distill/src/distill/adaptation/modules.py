@@ -31,17 +31,24 @@ class AdaptationConfig:
     """Width of the layer before the latent."""
     estimator: tuple[int, ...] = (128, 64)
     """Hidden layers of the estimator."""
+    estimator_frames: int | None = None
+    """Frames that the estimator reads, the newest; None: the whole window. The paper's reads one, which hardly tells
+    the velocity: where the policy acts on it, the robot drifts off."""
 
     def __post_init__(self) -> None:
         if self.history < 1:
             raise ValueError(f"AdaptationConfig.history is {self.history}; it must be at least 1")
+        if self.estimator_frames is not None and not 1 <= self.estimator_frames <= self.history:
+            raise ValueError(
+                f"AdaptationConfig.estimator_frames is {self.estimator_frames}; expected 1 to history, {self.history}"
+            )
 
 
 class AdaptationModule(nn.Module):
     """Estimator and history encoder (paper, section III-D).
 
-    The estimator reads the base velocity from the present frame x_t, the history encoder the privileged latent from
-    a window of frames. Columns of the proprioception that no sensor of the robot gives are blanked in both.
+    The estimator reads the base velocity from the newest frames of a window, the history encoder the privileged latent
+    from all of them. Columns of the proprioception that no sensor of the robot gives are blanked in both.
 
     Args:
         proprio: P, width of one frame.
@@ -56,7 +63,8 @@ class AdaptationModule(nn.Module):
             raise InterfaceError(f"columns {wrong} are to be blanked in a proprioception of {proprio} columns")
         self.proprio, self.latent_dim, self.config = proprio, latent_dim, config
         self.blank = tuple(blank)
-        self.estimator = mlp(proprio, config.estimator, VELOCITY)
+        self._newest = config.estimator_frames or config.history
+        self.estimator = mlp(self._newest * proprio, config.estimator, VELOCITY)
         self.encoder = nn.Sequential(
             HistoryEncoder(proprio, config.history, config.frame_features, config.channels, config.features),
             nn.Linear(config.features, latent_dim),
@@ -94,9 +102,9 @@ class AdaptationModule(nn.Module):
         frames = self.frame(obs["history"].unflatten(-1, (past, self.proprio)))
         return torch.cat((frames, frame), dim=-2)
 
-    def velocity(self, proprio: Tensor) -> Tensor:
-        """Estimated base velocity (..., 3), base frame, m/s, from `proprio` (..., P)."""
-        return self.estimator(self.frame(proprio))
+    def velocity(self, window: Tensor) -> Tensor:
+        """Estimated base velocity (..., 3), base frame, m/s, of windows (..., H, P)."""
+        return self.estimator(window[..., -self._newest :, :].flatten(-2))
 
     def latent(self, window: Tensor) -> Tensor:
         """History latent (..., L) of windows (..., H, P)."""
@@ -120,9 +128,9 @@ class AdaptedTeacher:
     @torch.no_grad()
     def act(self, obs: Observation) -> Tensor:
         """Mean action, (N, 12)."""
-        proprio = obs["proprio"]
+        proprio, window = obs["proprio"], self._adaptation.window(obs)
         scan = (self._teacher.scan_latent(obs),) if has_scan(self._teacher) else ()
-        velocity, latent = self._adaptation.velocity(proprio), self._adaptation.latent(self._adaptation.window(obs))
+        velocity, latent = self._adaptation.velocity(window), self._adaptation.latent(window)
         return self._teacher.actor(torch.cat((proprio, *scan, velocity, latent), dim=1))
 
 

@@ -90,7 +90,7 @@ class VisionStudent(nn.Module):
             and history_out (B, H, P).
         """
         window = self.adaptation.push(history_in, obs)
-        velocity, latent = self.adaptation.velocity(obs), self.adaptation.latent(window)
+        velocity, latent = self.adaptation.velocity(window), self.adaptation.latent(window)
         return self.infer(obs, terrain, heading, velocity, latent), velocity, window
 
 

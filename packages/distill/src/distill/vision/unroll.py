@@ -59,8 +59,8 @@ def unroll(student: VisionStudent, sequence: Sequence, threshold: float | None) 
     terrain, heading, seen = (torch.stack(parts) for parts in zip(*percepts, strict=True))
     oracle = sequence.proprio[..., student.heading]
     use = torch.ones_like(seen) if threshold is None else near(heading, oracle, threshold)
-    velocity = student.adaptation.velocity(sequence.proprio)
-    latent = student.adaptation.latent(torch.stack(windows))
+    window = torch.stack(windows)
+    velocity, latent = student.adaptation.velocity(window), student.adaptation.latent(window)
     parts = (sequence.proprio, terrain, choose(heading, oracle, use), velocity, latent)
     return Unrolled(_over_rows(student.infer, parts, (steps, robots)), heading, oracle, terrain, velocity, seen)
 
