@@ -126,6 +126,18 @@ def test_options_choose_task_ground_body_and_history(factory, tiny, monkeypatch,
         providers.locomotion(task="moon")
 
 
+def test_students_are_judged_by_the_walking_protocol_where_speeds_are_given(factory, monkeypatch):
+    monkeypatch.setattr(providers, "find_factory", lambda robot: factory)
+    env = providers.locomotion(num_envs=40, vx=[0.4, 0.6], seed=3).env
+    assert env.task.randomisation.push == 0.0
+    assert env.task.randomisation.reset_joint == 0.1
+    env.reset()
+    commands = env.command
+    assert (commands[:, 0] >= 0.4).all()
+    assert (commands[:, 0] <= 0.6).all()
+    assert (commands[:, 1:] == 0.0).all()
+
+
 def test_a_camera_needs_a_way_to_go(factory):
     task = with_camera(HILLY, DepthConfig(rows=4, columns=6))
     with pytest.raises(ValueError, match="needs heading_error"):

@@ -1,4 +1,4 @@
-"""Policies that ship with the project, one folder each: policy, provenance, evaluation."""
+"""What ships with the project, a folder each: generalists with their evaluation, students with teacher and bundle."""
 
 from __future__ import annotations
 
@@ -39,3 +39,16 @@ def shipped(policy: str) -> Path:
             return path
     known = ", ".join(shipped_policies()) or "none"
     raise FileNotFoundError(f"no policy '{policy}': give the path of one, or a shipped one (there is: {known})")
+
+
+def shipped_bundle(student: str) -> Path:
+    """Bundle of a shipped student, such as `go2-blind`.
+
+    Raises:
+        FileNotFoundError: there is none; `codesign student` makes one.
+    """
+    path = _HERE / student / "bundle"
+    if not path.is_dir():
+        known = ", ".join(each.parent.name for each in sorted(_HERE.glob("*/bundle"))) or "none"
+        raise FileNotFoundError(f"no student '{student}' ships (there is: {known}); codesign student makes one")
+    return path

@@ -15,10 +15,14 @@ from locorl.adapters.vision import VisionEnv, with_camera
 from locorl.bodies.designs import repeat_design, sample_designs
 from locorl.env.depth_camera import DepthConfig
 from locorl.env.legged_env import LeggedEnv
+from locorl.evaluation.evaluate import EvalConfig, walking_protocol
 from locorl.interfaces import BodyFactory
 from locorl.learning.policy import Policy, load_policy
 from locorl.simulation.make import SimulatorConfig
 from locorl.tasks import Preset, TaskConfig, make_task
+
+_RESET_JOINT = 0.1
+"""Half-width of joint deviations at the start of a judged episode, rad: no two are the same."""
 
 
 def is_file(robot: str) -> bool:
@@ -76,6 +80,7 @@ def make_env(
     terrain: Sequence[str] = (),
     policy: str | None = None,
     history: int = 0,
+    vx: tuple[float, float] | None = None,
     spread: bool = False,
     device: str = "cpu",
 ) -> StudentEnv:
@@ -91,10 +96,12 @@ def make_env(
         terrain: kinds of terrain to take instead of the task's, as many columns of the map.
         policy: path of a policy or checkpoint; task and preset are those that it was trained on.
         history: past frames of proprioception in the observation group `history`.
+        vx: lowest and highest forward command, m/s: the walking protocol, to judge by (see `EvalConfig`): no noise, no
+            pushes, one command for each robot; None leaves the task as it is trained on.
         spread: see `StudentEnv`.
         device: `cuda` or `cuda:1` simulates there, on MuJoCo Warp.
     """
-    config = _task(task, preset, terrain, policy, history)
+    config = _task(task, preset, terrain, policy, history, vx)
     return StudentEnv(_robots(robot, num_envs, design, seed, config, device), spread)
 
 
@@ -118,6 +125,7 @@ def parkour_depth(
     terrain: Sequence[str] = (),
     policy: str | None = None,
     history: int = 0,
+    vx: tuple[float, float] | None = None,
     spread: bool = False,
     rows: int = 24,
     columns: int = 36,
@@ -135,20 +143,31 @@ def parkour_depth(
         terrain: kinds of terrain.
         policy: whose task to take.
         history: past frames of proprioception.
+        vx: of the walking protocol.
         spread: over all tiles.
         rows: height of an image, px; the reference implementation has 58.
         columns: its width, px; there 87.
         device: see `make_env`.
     """
-    config = _task(task, preset, terrain, policy, history)
+    config = _task(task, preset, terrain, policy, history, vx)
     config = with_camera(config, DepthConfig(rows=rows, columns=columns), history)
     return VisionEnv(_robots(robot, num_envs, design, seed, config, device), spread)
 
 
-def _task(task: str, preset: Preset, terrain: Sequence[str], policy: str | None, history: int) -> TaskConfig:
+def _task(
+    task: str,
+    preset: Preset,
+    terrain: Sequence[str],
+    policy: str | None,
+    history: int,
+    vx: tuple[float, float] | None,
+) -> TaskConfig:
     config = make_task(task, preset) if policy is None else load_policy(Path(policy)).card.task
     if terrain:
         config = config.on(terrain)
+    if vx is not None:
+        slowest, fastest = vx
+        config = walking_protocol(config, EvalConfig(vx=(slowest, fastest), reset_joint=_RESET_JOINT))
     return replace(config, observation=replace(config.observation, history=history))
 
 
