@@ -28,8 +28,8 @@ class AdaptConfig:
     """Sizes of estimator and history encoder."""
     schedule: distill.RoaSchedule = field(default_factory=distill.RoaSchedule)
     """Regularisation (from 0 to 0.1 at once) and adaptation phases."""
-    estimate_after: int | None = None
-    """Iterations after which the teacher acts on the estimated velocity; None: never, which suits a short fine-tune."""
+    estimate_after: int | None = 10
+    """Iterations after which the teacher acts on the estimated velocity; None: never, and then it cannot afterwards."""
 
     @property
     def past(self) -> int:

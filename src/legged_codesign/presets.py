@@ -186,7 +186,6 @@ def _paper(task: TaskName) -> RunConfig:
                 finetune=tune,
                 networks=distill.AdaptationConfig(estimator_frames=1),
                 schedule=distill.RoaSchedule(every=20),
-                estimate_after=10,
             ),
             robots=128,
             vision=distill.VisionTrainConfig(iterations=5000, rollout_steps=120, memory=1, updates=1, batch=128),
