@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 import torch
 from torch import Tensor, nn
 
-from distill.adaptation.fitting import Average, BatchLike, Fit, FitConfig, RolloutLike
+from distill.adaptation.fitting import Average, BatchLike, Fit, FitConfig, RolloutLike, windows_of
 from distill.adaptation.modules import AdaptationModule
 from distill.interfaces import Observation
 
@@ -48,7 +48,9 @@ class VelocityEstimation:
 
     def observe(self, obs: Observation) -> Observation:
         """The observation with the estimate in group "explicit", once it is used."""
-        return {**obs, "explicit": self._velocity(obs)} if self._used else obs
+        if not self._used:
+            return obs
+        return {**obs, "explicit": self._adaptation.velocity(self._adaptation.window(obs))}
 
     def end(self, rollout: RolloutLike) -> Mapping[str, float]:
         """Train on a rollout.
@@ -56,11 +58,8 @@ class VelocityEstimation:
         Returns:
             `error`: root mean square per axis, m/s. `used`: 1 where the policy acted on the estimate.
         """
-        obs = {group: values.flatten(0, 1) for group, values in rollout.obs.items()}
-        seen = {group: obs[group] for group in ("proprio", "history") if group in obs}
-        error = self._fit(
-            lambda rows: self._velocity({group: values[rows] for group, values in seen.items()}), obs["explicit"]
-        )
+        windows, truth = windows_of(rollout, self._adaptation), rollout.obs["explicit"].flatten(0, 1)
+        error = self._fit(lambda rows: self._adaptation.velocity(windows(rows)), truth)
         return {"error": error, "used": float(self._used)}
 
     def loss(self, batch: BatchLike) -> Tensor | None:
@@ -83,6 +82,3 @@ class VelocityEstimation:
         with torch.no_grad():
             self._adaptation.estimator.load_state_dict(network)
         self._fit.load_state_dict(fit)
-
-    def _velocity(self, obs: Observation) -> Tensor:
-        return self._adaptation.velocity(self._adaptation.window(obs))

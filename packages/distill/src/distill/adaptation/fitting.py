@@ -9,6 +9,7 @@ from typing import Protocol, TypeAlias
 import torch
 from torch import Tensor, nn
 
+from distill.adaptation.modules import AdaptationModule
 from distill.errors import TrainingDiverged
 from distill.interfaces import Observation
 
@@ -107,3 +108,9 @@ class Fit:
         assert isinstance(generator, Tensor)
         self._optimizer.load_state_dict(optimizer)
         self._generator.set_state(generator.cpu())
+
+
+def windows_of(rollout: RolloutLike, adaptation: AdaptationModule) -> Callable[[Tensor | slice], Tensor]:
+    """What gives the windows (B, H, P) of these rows (B,) of a rollout: all at once may not fit into memory."""
+    obs = {group: rollout.obs[group].flatten(0, 1) for group in ("proprio", "history") if group in rollout.obs}
+    return lambda rows: adaptation.window({group: values[rows] for group, values in obs.items()})

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import torch
 from torch import Tensor, nn
 
-from distill.adaptation.fitting import Average, BatchLike, Fit, FitConfig, RolloutLike
+from distill.adaptation.fitting import Average, BatchLike, Fit, FitConfig, RolloutLike, windows_of
 from distill.adaptation.modules import AdaptationModule
 from distill.adaptation.schedule import RoaSchedule
 from distill.errors import InterfaceError
@@ -86,17 +86,14 @@ class RegularisedAdaptation:
             `error`: root mean square distance of the latents, per element. `weight`: of the regularisation.
             `acts`: 1 where the policy acted on the history latent.
         """
-        obs = {group: values.flatten(0, 1) for group, values in rollout.obs.items()}
-        seen = {group: obs[group] for group in ("proprio", "history") if group in obs}
+        windows = windows_of(rollout, self._adaptation)
         with torch.no_grad():
-            target = self._privileged_latent(obs)
+            target = self._privileged_latent({group: values.flatten(0, 1) for group, values in rollout.obs.items()})
         if self._learns:
-            error = self._fit(
-                lambda rows: self._history_latent({group: values[rows] for group, values in seen.items()}), target
-            )
+            error = self._fit(lambda rows: self._adaptation.latent(windows(rows)), target)
         else:
             with torch.no_grad():
-                error = (self._history_latent(seen) - target).square().mean().sqrt().item()
+                error = (self._adaptation.latent(windows(slice(None))) - target).square().mean().sqrt().item()
         return {"error": error, "weight": self._weight, "acts": float(self._acts)}
 
     def loss(self, batch: BatchLike) -> Tensor | None:
