@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 import yourdfpy
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from lxml import etree
 from morphgen import BodyFactory, DesignSpace, go2
 from morphgen.scaling.shapes import bake_axis, stretch_shape
 from numpy.testing import assert_allclose
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -79,16 +80,20 @@ def test_boxes_grow_along_the_axis_nearest_to_the_stretch(seed, scale):
 
 @settings(max_examples=20, deadline=None)
 @given(SEEDS, SCALES, st.sampled_from(range(len(RIGHT_ANGLES))), st.sampled_from(range(3)))
+@example(395, 1.1850223572285388, 2, 0)
 def test_all_corners_of_boxes_at_right_angles_follow(seed, scale, rotation, axis):
     case = Case("box", seed, scale, RIGHT_ANGLES[rotation], np.eye(3)[axis])
 
     def corners(position, rotation, size):
         box = trimesh.creation.box(size).vertices
-        return np.unique((box @ rotation.T + position).round(12), axis=0)
+        return box @ rotation.T + position
 
-    before = corners(case.position, case.rotation, case.size)
+    wanted = corners(case.position, case.rotation, case.size) @ case.map
     after = corners(case.new_position, case.new_rotation, case.new_size)
-    assert_allclose(after, np.unique((before @ case.map).round(12), axis=0), atol=1e-11)
+    # a flip of an axis may list the corners in another order
+    apart = cdist(after, wanted)
+    assert_allclose(apart.min(axis=0), 0.0, atol=1e-11)
+    assert_allclose(apart.min(axis=1), 0.0, atol=1e-11)
 
 
 @settings(max_examples=20, deadline=None)
