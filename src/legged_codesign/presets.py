@@ -185,7 +185,7 @@ def _paper(task: TaskName) -> RunConfig:
             adapt=AdaptConfig(
                 finetune=tune,
                 networks=distill.AdaptationConfig(estimator_frames=1),
-                schedule=distill.RoaSchedule(every=20),
+                schedule=distill.RoaSchedule(identification=0.0, every=20),
             ),
             robots=128,
             vision=distill.VisionTrainConfig(iterations=5000, rollout_steps=120, memory=1, updates=1, batch=128),

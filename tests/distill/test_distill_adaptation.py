@@ -19,7 +19,7 @@ from distill import (
     load_adaptation,
     save_adaptation,
 )
-from distill.adaptation import FitConfig
+from distill.adaptation import FitConfig, linear_probe
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor, nn
@@ -215,6 +215,30 @@ def test_the_history_encoder_learns_the_load_and_the_policy_can_act_on_it():
     latent = adaptation.latent(adaptation.window(rollout.obs))
     error = (latent - rollout.obs["implicit"][..., :WIDTH])[..., middle].square().mean().sqrt()
     assert error < 0.25  # the load's own deviation is 0.5
+
+
+@pytest.mark.parametrize(("identification", "known"), [(0.0, False), (1.0, True), (0.3, True)])
+def test_the_history_latent_tells_loads_that_the_privileged_one_does_not(identification, known):
+    """The privileged latent hides joints 8 to 10; judged on robots whose rollouts were not learnt from."""
+    hidden, shown = slice(8, 11), slice(4, 8)
+    env, teacher, adaptation = VisionToy(96, history=3), VisionToyTeacher(), make()
+    hook = RegularisedAdaptation(adaptation, RoaSchedule(warmup=12, identification=identification), FIT)
+    hook.attach(lambda obs: obs["implicit"][:, :WIDTH] * (torch.arange(WIDTH) < hidden.start))
+    obs = env.reset(seed=1)
+    for iteration in range(12):
+        hook.begin(iteration)
+        rollout, obs = roll(env, [], teacher, obs)
+        hook.end(rollout)
+    rollout, _ = roll(env, [], teacher, env.reset(seed=5))
+    with torch.no_grad():
+        latent = adaptation.latent(adaptation.window(rollout.obs)).flatten(0, 1)
+    truth = rollout.obs["implicit"].flatten(0, 1)
+    r2 = linear_probe(latent, truth, (torch.arange(96) < 64).repeat(24))
+    assert r2[shown].min() > 0.7
+    assert (r2[hidden].min() > 0.5) if known else (r2[hidden].max() < 0.3)
+    # gravity is the same everywhere, and colour does nothing
+    assert r2[WIDTH] < 0.1
+    assert latent.isfinite().all()
 
 
 def test_between_phases_the_encoder_rests():

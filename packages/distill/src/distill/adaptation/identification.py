@@ -29,6 +29,24 @@ class Identification:
     samples: int
 
 
+@torch.no_grad()
+def fit_probe(latent: Tensor, truth: Tensor, ridge: float = 1e-4) -> tuple[Tensor, Tensor]:
+    """Weights (L, k) and offsets (k,) of the best linear prediction of `truth` (n, k) from `latent` (n, L).
+
+    Args:
+        latent: inputs; a constant one is left out.
+        truth: wanted.
+        ridge: penalty of the squared weights, per sample, of inputs scaled to variance 1.
+    """
+    x, y = latent.double(), truth.double()
+    mean, centre = x.mean(dim=0), y.mean(dim=0)
+    scale = x.std(dim=0, correction=0).clamp(min=1e-9)
+    x = (x - mean) / scale
+    penalty = ridge * len(x) * torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
+    weights = torch.linalg.solve(x.T @ x + penalty, x.T @ (y - centre)) / scale[:, None]
+    return weights.to(latent), (centre - mean @ weights).to(latent)
+
+
 def linear_probe(latent: Tensor, truth: Tensor, train: Tensor, ridge: float = 1e-4) -> Tensor:
     """Predict `truth` linearly from `latent`, and judge the prediction on other samples.
 
@@ -36,7 +54,7 @@ def linear_probe(latent: Tensor, truth: Tensor, train: Tensor, ridge: float = 1e
         latent: (n, L).
         truth: (n, k).
         train: (n,) bool, samples that the probe is fitted to; it is judged on the others.
-        ridge: penalty of the squared weights, per sample, of inputs scaled to variance 1.
+        ridge: see `fit_probe`.
 
     Returns:
         R^2 (k,) = 1 - (squared error / squared deviation from the judged samples' mean); NaN for a constant.
@@ -47,14 +65,9 @@ def linear_probe(latent: Tensor, truth: Tensor, train: Tensor, ridge: float = 1e
     if not train.any() or train.all():
         raise ValueError("a probe needs samples to be fitted to and others to be judged on")
     x, y = latent.double(), truth.double()
-    mean, std = x[train].mean(dim=0), x[train].std(dim=0, correction=0)
-    x = (x - mean) / std.clamp(min=1e-9)
-    centre = y[train].mean(dim=0)
-    a = x[train]
-    penalty = ridge * len(a) * torch.eye(x.shape[1], dtype=x.dtype, device=x.device)
-    weights = torch.linalg.solve(a.T @ a + penalty, a.T @ (y[train] - centre))
+    weights, offsets = fit_probe(x[train], y[train], ridge)
     judged = y[~train]
-    error = (judged - centre - x[~train] @ weights).square().sum(dim=0)
+    error = (judged - x[~train] @ weights - offsets).square().sum(dim=0)
     spread = (judged - judged.mean(dim=0)).square().sum(dim=0)
     # a constant in single precision leaves rounding behind
     constant = spread <= 1e-10 * judged.square().sum(dim=0).clamp(min=1e-12)

@@ -9,10 +9,14 @@ import torch
 from torch import Tensor, nn
 
 from distill.adaptation.fitting import Average, BatchLike, Fit, FitConfig, RolloutLike, windows_of
+from distill.adaptation.identification import fit_probe
 from distill.adaptation.modules import AdaptationModule
 from distill.adaptation.schedule import RoaSchedule
 from distill.errors import InterfaceError
 from distill.interfaces import Observation
+
+ENCODER_FIT = FitConfig(learning_rate=3e-3, epochs=4, minibatches=32)
+"""Many steps, as few rollouts are learnt from."""
 
 Latent: TypeAlias = Callable[[Observation], Tensor]
 """The policy's privileged encoder with its gradient: observation -> (B, L)."""
@@ -25,12 +29,13 @@ class RegularisedAdaptation:
     the gradient. Its first part keeps the policy's encoder from telling what no history shows; it joins PPO's loss,
     its weight w rises by a schedule. The second trains the history encoder after a rollout: first on rollouts of the
     privileged latent, then in the adaptation phases, in which the policy acts on h (observation group "latent",
-    which a policy must take in place of its encoder's output).
+    which a policy must take in place of its encoder's output). Beyond the paper, the history encoder also learns to
+    tell the bodies apart (group "implicit", where there is one): by what the best linear probe of h misses of them.
 
     Args:
         adaptation: whose history encoder is trained.
         schedule: weight and phases.
-        fit: how the history encoder is trained.
+        fit: how the history encoder is trained after a rollout that it learns from.
         seed: of the minibatches.
         average: of gradients over the processes that train together.
 
@@ -55,7 +60,7 @@ class RegularisedAdaptation:
     ) -> None:
         self.name = "roa"
         self._adaptation, self._schedule = adaptation, schedule or RoaSchedule()
-        self._fit = Fit(adaptation.encoder, fit or FitConfig(), seed, average)
+        self._fit = Fit(adaptation.encoder, fit or ENCODER_FIT, seed, average)
         self._latent: Latent | None = None
         self._weight, self._acts, self._learns = 0.0, False, False
 
@@ -83,18 +88,37 @@ class RegularisedAdaptation:
         """Train the history encoder on a rollout, where the schedule says so.
 
         Returns:
-            `error`: root mean square distance of the latents, per element. `weight`: of the regularisation.
-            `acts`: 1 where the policy acted on the history latent.
+            `error`: root mean square distance of the latents before that, per element. `weight`: of the
+            regularisation. `acts`: 1 where the policy acted on the history latent.
         """
         windows = windows_of(rollout, self._adaptation)
         with torch.no_grad():
-            target = self._privileged_latent({group: values.flatten(0, 1) for group, values in rollout.obs.items()})
+            obs = {group: values.flatten(0, 1) for group, values in rollout.obs.items()}
+            target = self._privileged_latent(obs)
+            error = (self._adaptation.latent(windows(slice(None))) - target).square().mean().sqrt().item()
         if self._learns:
-            error = self._fit(lambda rows: self._adaptation.latent(windows(rows)), target)
-        else:
-            with torch.no_grad():
-                error = (self._adaptation.latent(windows(slice(None))) - target).square().mean().sqrt().item()
+            body = self._body(obs, target)
+            self._fit(lambda rows: self._told(windows(rows), body[rows]), torch.cat((target, body), dim=1))
         return {"error": error, "weight": self._weight, "acts": float(self._acts)}
+
+    def _body(self, obs: Observation, target: Tensor) -> Tensor:
+        """What robots (R,) are told of their bodies, (R, k): standardised, and weighted against `target` (R, L)."""
+        weight = self._schedule.identification
+        if weight == 0.0 or "implicit" not in obs:
+            return target[:, :0]
+        body = obs["implicit"]
+        body = body[:, body.std(dim=0) > 1e-4 * body.abs().mean(dim=0).clamp(min=1e-6)]
+        body = (body - body.mean(dim=0)) / body.std(dim=0)
+        # a mean over columns on either side, in units of the variance
+        size = target.std(dim=0).square().sum() / max(body.shape[1], 1)
+        return (weight * size).sqrt() * body
+
+    def _told(self, window: Tensor, body: Tensor) -> Tensor:
+        """History latent, and what the best linear probe of it makes of the bodies."""
+        latent = self._adaptation.latent(window)
+        weights, offsets = fit_probe(latent, body, ridge=1e-2)
+        # at its best the probe itself has no part in the gradient
+        return torch.cat((latent, latent @ weights + offsets), dim=1)
 
     def loss(self, batch: BatchLike) -> Tensor | None:
         """The regularisation: mean distance of the privileged latent from the history latent, weighted."""

@@ -15,6 +15,10 @@ class RoaSchedule:
 
     weight: float = 0.1
     """Final weight of the distance of the privileged latent from the history latent."""
+    identification: float = 1.0
+    """Weight of the share of the bodies' variance that a linear probe of the history latent leaves unexplained,
+    beside the share of the privileged latent's that it misses; 0, as in the paper: the history latent learns of the
+    body only what moves the privileged one much, and that is little of the shanks."""
     start: int = 0
     """Iteration at which the weight begins to rise from 0."""
     ramp: int = 1
@@ -26,8 +30,8 @@ class RoaSchedule:
     encoder learns from what comes of it."""
 
     def __post_init__(self) -> None:
-        if self.weight < 0.0 or self.start < 0 or self.warmup < 0:
-            raise ValueError(f"RoaSchedule: weight, start and warmup must be 0 or more, got {self}")
+        if min(self.weight, self.identification, self.start, self.warmup) < 0:
+            raise ValueError(f"RoaSchedule: weight, identification, start and warmup must be 0 or more, got {self}")
         if self.ramp < 1 or self.every < 1:
             raise ValueError(f"RoaSchedule: ramp and every must be at least 1, got {self.ramp} and {self.every}")
 
