@@ -71,10 +71,15 @@ def check_shipped(config: RunConfig, factory: BodyFactory) -> None:
 
     Raises:
         FileNotFoundError: no generalist ships for robot and task.
-        ValueError: it was trained on another design space.
+        ValueError: it was trained on another design space, or with constant gains.
     """
     if config.from_scratch:
         return
+    if config.bodies.gains != "none":
+        raise ValueError(
+            f"the generalist that ships was trained with constant gains, not with '{config.bodies.gains}'; "
+            "--from-scratch trains one for it"
+        )
     try:
         load_policy(shipped_generalist(config)).check_space(factory.name, factory.space)
     except ValueError as error:

@@ -121,11 +121,15 @@ def test_a_robot_with_rules_of_its_own_keeps_them() -> None:
         body_factory("spot", BodyConfig(space="wide"))
 
 
-def test_a_wider_space_needs_a_generalist_of_its_own(codesign, tmp_path) -> None:
-    code, output = codesign("run", "--space", "per-leg", "--folder", tmp_path / "run")
+@pytest.mark.parametrize(
+    ("option", "value", "words"), [("--space", "per-leg", "design parameters"), ("--gains", "stance", "constant gains")]
+)
+def test_other_bodies_need_a_generalist_of_their_own(codesign, tmp_path, option, value, words) -> None:
+    code, output = codesign("run", option, value, "--folder", tmp_path / "run")
     assert code == 1
-    assert "design parameters" in output
+    assert words in output
     assert "--from-scratch" in output
+    assert not (tmp_path / "run").exists()
 
 
 def test_seeds_change_the_pre_training_too() -> None:
