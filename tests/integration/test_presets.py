@@ -76,11 +76,16 @@ def test_options_reach_the_configuration() -> None:
         objective="energy",
         seed=7,
         trials=9,
+        iterations=3,
+        repeats=8,
         from_scratch=False,
         bounds=("front_shank=1:1.4",),
         fix=("hind_thigh=1",),
     ).config()
-    assert (config.objective, config.seed, config.search.trials) == ("energy", 7, 9)
+    assert (config.objective, config.seed) == ("energy", 7)
+    assert (config.search.trials, config.search.repeats, config.finetune.iterations) == (9, 8, 3)
+    defaults = preset("smoke", "energy")
+    assert Run(preset="smoke", objective="energy").config().search == defaults.search
     assert config.bounds == (("front_shank", 1.0, 1.4),)
     assert config.fixed == (("hind_thigh", 1.0),)
     assert config.from_scratch, "smoke always is"

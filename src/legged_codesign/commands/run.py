@@ -65,6 +65,11 @@ class Run:
     """Several runs, one after the other, each in a folder of its own."""
     trials: int | None = None
     """Bodies to fine-tune in the search; None keeps the preset's number."""
+    iterations: int | None = None
+    """Of each fine-tune; None keeps the preset's number."""
+    repeats: int | None = None
+    """Fresh seeds that the best bodies are confirmed on; more of them separate smaller gains. None keeps the preset's
+    number."""
     from_scratch: bool = False
     """Pre-train here instead of starting from the shipped generalist (some 10 minutes more)."""
     simulator: Literal["cpu", "warp"] = "cpu"
@@ -99,9 +104,12 @@ class Run:
         """The configuration that these options stand for."""
         config = preset(self.preset, self.objective, self.task)
         more_bounds, more_fixed = (HARDWARE_BOUNDS, HARDWARE_FIXED) if self.hardware else ((), ())
-        search = replace(config.search, method=self.search, pareto=self.pareto)
-        if self.trials is not None:
-            search = replace(search, trials=self.trials)
+        numbers = {"trials": self.trials, "repeats": self.repeats}
+        chosen = {name: value for name, value in numbers.items() if value is not None}
+        search = replace(config.search, method=self.search, pareto=self.pareto, **chosen)
+        finetune = config.finetune
+        if self.iterations is not None:
+            finetune = replace(finetune, iterations=self.iterations)
         distil = config.distil
         if self.student is not None:
             adapt = None if self.student == "plain" else distil.adapt or AdaptConfig()
@@ -116,6 +124,7 @@ class Run:
             from_scratch=self.from_scratch or config.from_scratch,
             pretrain=replace(config.pretrain, seed=max(0, self.seed)),
             search=search,
+            finetune=finetune,
             distil=distil,
         )
         return config if self.simulator == "cpu" else on_simulator(config, SimulatorConfig(self.simulator, self.device))
