@@ -41,9 +41,9 @@ class FitConfig:
 
     learning_rate: float = 1e-3
     """Of Adam."""
-    epochs: int = 2
+    epochs: int = 4
     """Passes over a rollout."""
-    minibatches: int = 4
+    minibatches: int = 32
     """Minibatches in a pass."""
     max_grad_norm: float = 1.0
     """Gradients are scaled down to this norm."""

@@ -15,8 +15,8 @@ from distill.adaptation.schedule import RoaSchedule
 from distill.errors import InterfaceError
 from distill.interfaces import Observation
 
-ENCODER_FIT = FitConfig(learning_rate=3e-3, epochs=4, minibatches=32)
-"""Many steps, as few rollouts are learnt from."""
+ENCODER_FIT = FitConfig(learning_rate=3e-3)
+"""Faster than the estimator's, as fewer rollouts are learnt from."""
 
 Latent: TypeAlias = Callable[[Observation], Tensor]
 """The policy's privileged encoder with its gradient: observation -> (B, L)."""
