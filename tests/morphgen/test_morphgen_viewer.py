@@ -258,14 +258,14 @@ def test_in_a_browser(tmp_path):
         return (image[..., 2] - image[..., 0] > 60) & (image[..., 2] > 90)
 
     def settled(condition):
-        """The picture once it fulfils the condition and has not changed for 3 s: parts arrive one by one."""
+        """The picture once it fulfils the condition and has not changed for 6 s: parts arrive one by one."""
         end, last, since = time.monotonic() + 120, picture(), time.monotonic()
         while time.monotonic() < end:
             time.sleep(0.5)
             image = picture()
             if not np.array_equal(image, last):
                 last, since = image, time.monotonic()
-            elif condition(image) and time.monotonic() - since > 3:
+            elif condition(image) and time.monotonic() - since > 6:
                 return image
         raise AssertionError(f"the picture is not as expected; the page: {browser.evaluate('document.body.innerText')}")
 
