@@ -254,8 +254,13 @@ def test_in_a_browser(tmp_path):
         return image[:, :600]  # without the panel
 
     def blue(image):
-        """Whether each pixel shows a shank."""
-        return (image[..., 2] - image[..., 0] > 60) & (image[..., 2] > 90)
+        """Share of pixels that show a shank, in each block of 4 x 4: the page draws coarser when it is slow."""
+        pixels = (image[..., 2] - image[..., 0] > 60) & (image[..., 2] > 90)
+        return pixels.reshape(150, 4, 150, 4).mean(axis=(1, 3))
+
+    def moved(one, other):
+        """Blocks that show a shank in one picture alone."""
+        return (np.abs(blue(one) - blue(other)) > 0.5).sum()
 
     def settled(condition):
         """The picture once it fulfils the condition and has not changed for 6 s: parts arrive one by one."""
@@ -273,12 +278,12 @@ def test_in_a_browser(tmp_path):
         browser.open(url)
         browser.wait_for(SHOWS % "Feasible")
         assert browser.evaluate(SHOWS % "total mass 15.019 kg")
-        before = settled(lambda image: blue(image).sum() > 2000)
+        before = settled(lambda image: blue(image).sum() > 120)
 
         browser.evaluate(TYPE % (FIND, "front thigh", "1.2"))
         browser.wait_for(SHOWS % "front thigh length 255.6 mm +42.6")
         browser.wait_for(SHOWS % "total mass 15.480 kg +0.461")
-        settled(lambda image: (blue(image) != blue(before)).sum() > 1000)
+        settled(lambda image: moved(image, before) > 30)
 
         browser.evaluate(CLICK % "URDF")
         urdf = tmp_path / "go2.urdf"
@@ -291,7 +296,7 @@ def test_in_a_browser(tmp_path):
 
         browser.evaluate(CLICK % "Nominal")
         browser.wait_for(SHOWS % "total mass 15.019 kg –")
-        settled(lambda image: (blue(image) != blue(before)).sum() < 100)
+        settled(lambda image: moved(image, before) < 5)
         browser.evaluate(CLICK % "Random")
         browser.wait_for("!(" + SHOWS % "total mass 15.019 kg" + ")")
         (tmp_path / "page.png").write_bytes(browser.screenshot())
