@@ -16,6 +16,7 @@ from distill import (
 )
 from distill.vision import Convolution, DepthEncoder, Perception
 from distill.vision.collect import VisionCollector
+from distill.vision.depth_encoder import contrast
 from distill.vision.unroll import unroll
 from hypothesis import given
 from hypothesis import strategies as st
@@ -44,6 +45,26 @@ def test_the_large_encoder_has_the_sizes_of_the_reference():
         encoder.features(torch.zeros(2, 58, 87)), torch.zeros(2, 53), torch.zeros(2, 512)
     )
     assert (terrain.shape, heading.shape, memory.shape) == ((2, 32), (2, 2), (2, 512))
+
+
+@given(st.floats(-0.03, 0.03), st.floats(-0.01, 0.01), st.floats(1.7, 3.0))
+def test_planes_have_no_contrast_and_a_low_step_has(down, right, middle):
+    """Inverse depth of a plane is affine in the image, which a camera model tells without rays."""
+    rows, columns = torch.meshgrid(torch.arange(24.0) - 11.5, torch.arange(36.0) - 17.5, indexing="ij")
+    plane = 1.0 / (middle + down * rows + right * columns)  # a share of the farthest depth, 0.4 to 1
+    flat = contrast((plane - 0.5)[None, None])[0, 0, 1:-1, 3:-3]
+    torch.testing.assert_close(flat, torch.zeros_like(flat), rtol=0, atol=1e-4)
+    step = plane.clone()
+    step[10:12, 8:20] *= 0.95  # nearer by a twentieth
+    edges = contrast((step - 0.5)[None, None])[0, 0].abs()
+    assert edges[10:12, 8:20].min() > 0.5
+    assert edges[14:-1, 24:-3].max() < 1e-4
+
+
+def test_contrast_of_what_is_too_near_or_too_far_is_bounded():
+    image = torch.rand(1, 1, 24, 36).round() - 0.5
+    assert contrast(image).abs().max() == 3.0
+    assert not contrast(torch.full((1, 1, 24, 36), 0.5)).any()
 
 
 def test_headings_and_terrain_stay_in_range():

@@ -28,7 +28,7 @@ from torch.nn.functional import interpolate
 
 CELL = 0.05
 DT = 0.02
-SMALL = DepthConfig.small()
+SMALL = DepthConfig(rows=24, columns=36)
 PLAIN = dataclasses.replace(SMALL, position=(0.0, 0.0, 0.0), pitch=(0.0, 0.0))
 
 angle = st.floats(-0.6, 0.6)

@@ -150,7 +150,7 @@ def parkour_depth(
         device: see `make_env`.
     """
     config = _task(task, preset, terrain, policy, history, vx)
-    config = with_camera(config, DepthConfig(rows=rows, columns=columns), history)
+    config = with_camera(config, replace(DepthConfig.small(), rows=rows, columns=columns), history)
     return VisionEnv(_robots(robot, num_envs, design, seed, config, device), spread)
 
 

@@ -36,11 +36,14 @@ class DepthEncoderConfig:
     """Layers that join the image's features with proprioception; the last one feeds the memory."""
     memory: int = 128
     """Width of the recurrent state (GRU)."""
+    contrast: bool = True
+    """Whether the image network is also shown the contrast of inverse depth, in which edges of low obstacles stand out
+    and level ground does not; without it, it takes a network long to see them at all."""
 
     @classmethod
     def large(cls) -> DepthEncoderConfig:
         """Sizes of the reference implementation (Extreme Parkour), for images of 58 x 87 pixels on a GPU."""
-        return cls((Convolution(32, 5, pool=2), Convolution(64, 3)), image_hidden=128, memory=512)
+        return cls((Convolution(32, 5, pool=2), Convolution(64, 3)), image_hidden=128, memory=512, contrast=False)
 
     def __post_init__(self) -> None:
         if not self.convolutions or not self.fusion:

@@ -4,12 +4,30 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d
 
 from distill.errors import InterfaceError
 from distill.vision.config import DepthEncoderConfig
 
 NOTHING = 0.5
 """Pixel of a ray that meets nothing within the camera's range."""
+
+
+_WINDOW, _GAIN, _CLIP, _NEAREST = (3, 7), 30.0, 3.0, 0.1
+"""Of the contrast: rows and columns of the mean, factor and limit of the difference, nearest depth of all depths."""
+
+
+def contrast(image: Tensor) -> Tensor:
+    """How inverse depth differs from its mean around, (..., rows, columns), about 1 in size at edges.
+
+    The inverse depth of a plane is affine in the image, so ground and walls read 0 whatever way the camera looks.
+
+    Args:
+        image: (..., rows, columns), from -0.5 (no distance) to 0.5 (far).
+    """
+    inverse = (image + NOTHING).clamp(min=_NEAREST).reciprocal()
+    around = avg_pool2d(inverse, _WINDOW, 1, tuple(size // 2 for size in _WINDOW), count_include_pad=False)
+    return (_GAIN * (inverse - around)).clamp(-_CLIP, _CLIP)
 
 
 class DepthEncoder(nn.Module):
@@ -41,6 +59,7 @@ class DepthEncoder(nn.Module):
     ) -> None:
         super().__init__()
         self.shape, self.terrain_dim, self.limit, self.memory = shape, terrain_dim, limit, config.memory
+        self._contrast = config.contrast
         self.image = _image_network(shape, config)
         fusion: list[nn.Module] = []
         width = config.image_features + proprio
@@ -54,7 +73,8 @@ class DepthEncoder(nn.Module):
     def features(self, image: Tensor) -> Tensor:
         """Features (B, F) of images (B, rows, columns) from -0.5 (near) to 0.5 (far)."""
         image = torch.where(torch.isnan(image), NOTHING, image).clamp(-NOTHING, NOTHING)
-        return self.image(image.unsqueeze(1))
+        image = image.unsqueeze(1)
+        return self.image(torch.cat((image, contrast(image)), dim=1) if self._contrast else image)
 
     def recall(self, features: Tensor, frame: Tensor, memory: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Take in what one image shows.
@@ -75,7 +95,7 @@ class DepthEncoder(nn.Module):
 
 def _image_network(shape: tuple[int, int], config: DepthEncoderConfig) -> nn.Sequential:
     layers: list[nn.Module] = []
-    channels, size = 1, shape
+    channels, size = 1 + config.contrast, shape
     for layer in config.convolutions:
         layers += [nn.Conv2d(channels, layer.channels, layer.kernel, layer.stride), nn.ELU()]
         size = tuple(((length - layer.kernel) // layer.stride + 1) // layer.pool for length in size)
