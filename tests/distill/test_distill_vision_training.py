@@ -26,7 +26,10 @@ from distill.vision import Convolution
 from vision_toy import HEADING, PROPRIO, TERRAIN, WIDTH, BlindToyTeacher, VisionToy, VisionToyTeacher
 
 BLANK = tuple(range(HEADING.start, HEADING.stop))
-DEPTH = DepthEncoderConfig((Convolution(8, 3, stride=2),), image_hidden=24, image_features=16, fusion=(32,), memory=32)
+# the toy's images are of brightness, whose inverse means nothing
+DEPTH = DepthEncoderConfig(
+    (Convolution(8, 3, stride=2),), image_hidden=24, image_features=16, fusion=(32,), memory=32, contrast=False
+)
 STUDENT = VisionStudentConfig(
     depth=DEPTH,
     adaptation=AdaptationConfig(history=3, frame_features=48, channels=(48,), features=48, estimator=()),
