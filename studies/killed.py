@@ -17,14 +17,13 @@ import signal
 import subprocess
 import sys
 import time
-from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
+from lxml import html
 from study import RUNS, markdown_table, write_results
 
 from legged_codesign.run_folder import Files
-from legged_codesign.run_log import PROGRESS
+from legged_codesign.run_log import PROGRESS, Progress
 
 FOLDER = RUNS / "killed"
 SAME = ("screening.json", "trials.json", "choice.json", "best.urdf")
@@ -88,10 +87,10 @@ def live(command: list[str], files: Files, stage: str, seconds: float) -> float 
 def in_stage(progress: Path, stage: str) -> float | None:
     """Unix time since when the run is in a stage, None if it is in another."""
     try:
-        content = json.loads(progress.read_text(encoding="utf-8"))
+        found = Progress.from_json(progress.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return content["since"] if content["stage"] == stage else None
+    return found.since if found.stage == stage else None
 
 
 def alike(one: Path, other: Path) -> str:
@@ -113,38 +112,18 @@ def rollout(files: Files) -> dict[str, object]:
 
 def report(one: Files, other: Files) -> str:
     """How many pieces of text of two reports differ."""
-    texts = [words(each.report.read_text(encoding="utf-8")) for each in (one, other)]
+    texts = [words(each.report) for each in (one, other)]
     if len(texts[0]) != len(texts[1]):
         return f"DIFFERENT: {len(texts[0])} and {len(texts[1])} pieces of text"
-    differ = np.flatnonzero([a != b for a, b in zip(*texts, strict=True)])
-    pairs = "; ".join(f"'{texts[0][i]}' / '{texts[1][i]}'" for i in differ[:5])
-    return said(not len(differ)) if not len(differ) else f"{len(differ)} of {len(texts[0])} pieces differ: {pairs}"
+    pairs = [f"'{a}' / '{b}'" for a, b in zip(*texts, strict=True) if a != b]
+    return f"{len(pairs)} of {len(texts[0])} pieces differ: {'; '.join(pairs[:5])}" if pairs else said(True)
 
 
-class _Text(HTMLParser):
-    """Collects what a reader sees."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.pieces: list[str] = []
-        self._hidden = False
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self._hidden = tag in ("script", "style")
-
-    def handle_endtag(self, tag: str) -> None:
-        self._hidden = False
-
-    def handle_data(self, data: str) -> None:
-        if data.strip() and not self._hidden:
-            self.pieces.append(CHANGES.sub("#", data.strip()))
-
-
-def words(page: str) -> list[str]:
-    """Pieces of text of a page, without what differs between any two runs."""
-    parser = _Text()
-    parser.feed(page)
-    return parser.pieces
+def words(page: Path) -> list[str]:
+    """Pieces of text that a reader of a page sees, without what differs between any two runs."""
+    tree = html.parse(page, html.HTMLParser(huge_tree=True, encoding="utf-8"))
+    texts = tree.xpath("//body//text()[normalize-space() and not(parent::script or parent::style)]")
+    return [CHANGES.sub("#", text.strip()) for text in texts]
 
 
 if __name__ == "__main__":

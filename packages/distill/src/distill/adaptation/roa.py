@@ -116,6 +116,8 @@ class RegularisedAdaptation:
     def _told(self, window: Tensor, body: Tensor) -> Tensor:
         """History latent, and what the best linear probe of it makes of the bodies."""
         latent = self._adaptation.latent(window)
+        if not body.shape[1]:
+            return latent
         weights, offsets = fit_probe(latent, body, ridge=1e-2)
         # at its best the probe itself has no part in the gradient
         return torch.cat((latent, latent @ weights + offsets), dim=1)
