@@ -37,6 +37,15 @@ def shaken(n: int, steps: int, size: float = 0.5) -> list[torch.Tensor]:
     return [size * torch.randn(n, 12, generator=generator) for _ in range(steps)]
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("episode_seconds", -1.0), ("episode_seconds", 0.001), ("action_scale", 0.0), ("max_tilt", -1.0)],
+)
+def test_what_no_robot_could_do_is_refused(name: str, value: float):
+    with pytest.raises(ValueError, match=name):
+        TaskConfig(**{name: value})
+
+
 def test_flat_ground_is_the_default_task():
     assert make_task("locomotion-flat") == TaskConfig()
 

@@ -48,6 +48,17 @@ class TaskConfig:
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
 
+    def __post_init__(self) -> None:
+        """Refuse episodes without a step and actions that move nothing."""
+        for name in ("action_scale", "action_clip", "max_tilt"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"TaskConfig: {name} must be above 0, got {getattr(self, name)}")
+        if not self.episode_steps >= 1:
+            raise ValueError(
+                f"TaskConfig: episode_seconds must be one control period ({self.physics.control_dt:g} s) or more, "
+                f"got {self.episode_seconds}"
+            )
+
     @property
     def interface(self) -> dict[str, object]:
         """What a policy must have been trained with to control robots on this task: name -> value."""
