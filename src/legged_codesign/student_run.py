@@ -196,13 +196,13 @@ class StudentRun:
         write_text(self.comparison, json.dumps({"means": table_of(scores), "robots": robots}, indent=1) + "\n")
 
     def scores(self, video: Path | None = None) -> dict[str, distill.Score]:
-        """Teacher, adapted teacher and student, without noise and pushes and spread over all tiles.
+        """Teacher, adapted teacher and student, without noise and pushes.
 
         Args:
             video: film of one robot under each, as an .mp4; None makes none.
         """
         protocol, teacher = self.config.distil.judged, self._teacher()
-        env = self._env(walking_protocol(teacher.card.task, protocol), protocol.robots_per_body, spread=True)
+        env = self._env(walking_protocol(teacher.card.task, protocol), protocol.robots_per_body)
         policies: dict[str, MemoryPolicy | distill.Teacher] = {"teacher": teacher}
         if self.config.distil.adapt is not None:
             networks = distill.load_adaptation(self.adaptation)
@@ -233,14 +233,14 @@ class StudentRun:
             return distill.VisionPolicy(distill.load_vision_student(self.student, teacher), env)
         return distill.StudentPolicy(distill.load_student(self.student, teacher), env.num_envs)
 
-    def _env(self, task: TaskConfig, robots: int, spread: bool = False) -> StudentEnv:
-        """Robots with the chosen body, with cameras if the student sees."""
+    def _env(self, task: TaskConfig, robots: int) -> StudentEnv:
+        """Robots with the chosen body on all tiles, with cameras if the student sees."""
         config = self.config.distil
         if config.depth:
             task = with_camera(task, config.camera, task.observation.history)
         designs = np.tile(self.design, (robots, 1))
         env = LeggedEnv(self.factory, designs, task, seed=self.config.seed, simulator=config.simulator)
-        return VisionEnv(env, spread) if config.depth else StudentEnv(env, spread)
+        return VisionEnv(env) if config.depth else StudentEnv(env)
 
     def _teacher(self) -> Policy:
         """The teacher on the ground of this student."""

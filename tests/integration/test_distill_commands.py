@@ -58,7 +58,7 @@ def test_a_blind_and_a_seeing_student_by_command_alone(monkeypatch: pytest.Monke
         distill(monkeypatch, "train", *base, "--out", out, *TINY, *kind)
         table = tmp_path / f"{env}.json"
         student = ("--student", out / "student.pt", "--steps", 5, "--json", table)
-        distill(monkeypatch, "evaluate", *base, "spread=true", *student)
+        distill(monkeypatch, "evaluate", *base, *student)
         found = json.loads(table.read_text())
         assert set(found["student"]["terrain"]) == {"hurdles"}
         assert found["teacher"]["all"]["robots"] == 4

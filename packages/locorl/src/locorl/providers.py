@@ -81,7 +81,7 @@ def make_env(
     policy: str | None = None,
     history: int = 0,
     vx: tuple[float, float] | None = None,
-    spread: bool = False,
+    spread: bool = True,
     device: str = "cpu",
 ) -> StudentEnv:
     """Robots on one of `locorl.tasks.TASKS`, to train and judge a student with.
@@ -126,7 +126,7 @@ def parkour_depth(
     policy: str | None = None,
     history: int = 0,
     vx: tuple[float, float] | None = None,
-    spread: bool = False,
+    spread: bool = True,
     rows: int = 24,
     columns: int = 36,
     device: str = "cpu",

@@ -38,14 +38,14 @@ class StudentEnv:
 
     Args:
         env: the robots; the adapter steps and resets it.
-        spread: whether `reset` puts the robots evenly on all tiles of the map, as an evaluation wants it, instead of
-            where the curriculum starts them.
+        spread: whether `reset` puts the robots evenly on all tiles of the map, instead of where the curriculum starts
+            them: what a student is not shown, it is not taught, and its teacher has climbed the levels already.
 
     Attributes:
         env: the same.
     """
 
-    def __init__(self, env: LeggedEnv, spread: bool = False) -> None:
+    def __init__(self, env: LeggedEnv, spread: bool = True) -> None:
         self.env = env
         self._spread = spread
         self._camera: tuple[int, RobotCamera] | None = None

@@ -47,7 +47,7 @@ class VisionEnv(StudentEnv):
         ValueError: the task has no camera, a late one, or no heading among its observations.
     """
 
-    def __init__(self, env: LeggedEnv, spread: bool = False) -> None:
+    def __init__(self, env: LeggedEnv, spread: bool = True) -> None:
         camera = env.task.camera
         if camera is None or camera.latency != 0.0:
             late = "no camera" if camera is None else f"a camera that is {camera.latency} s late"
