@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from codesign_bo.executors import Executor, LocalExecutor, RayExecutor, SlurmExecutor
+from locorl.simulation.cpu import available_cores
 
 from legged_codesign.stages import RunError
 
@@ -58,7 +59,7 @@ class Machines:
         """Threads of each trial; None takes every core."""
         if self.here:
             return self.cpus
-        return self.cpus or max(1, len(os.sched_getaffinity(0)) // self.workers)
+        return self.cpus or max(1, available_cores() // self.workers)
 
     @contextmanager
     def open(self, folder: Path) -> Iterator[Executor | None]:
@@ -86,7 +87,7 @@ class Machines:
         if self.executor == "slurm":
             more: dict[str, Any] = {"slurm_partition": self.partition} if self.partition else {}
             if self.gpus:
-                more["gpus_per_node"] = int(self.gpus)
+                more["gpus_per_node"] = math.ceil(self.gpus)  # Slurm deals out whole ones
             jobs = (folder / "slurm").resolve()
             return SlurmExecutor(self.workers, jobs, round(60 * self.hours), cpus_per_task=threads, **more)
         return LocalExecutor(self.workers, timeout=seconds, gpus=range(self.workers) if self.gpus else ())

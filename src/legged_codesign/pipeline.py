@@ -9,6 +9,7 @@ from typing import Any
 
 import deploy
 from locorl.config import to_dict
+from morphgen import BodyFactory
 from rich.console import Console
 
 from legged_codesign.choice import Choice
@@ -20,7 +21,7 @@ from legged_codesign.report.render import write_report
 from legged_codesign.robots import body_factory
 from legged_codesign.run_folder import Files, bind
 from legged_codesign.run_log import LoggedConsole
-from legged_codesign.search import BodySearch
+from legged_codesign.search import BodySearch, search_space
 from legged_codesign.stages import Stage, locked, run_stages, write_text
 from legged_codesign.student_run import StudentConfig, StudentRun, check_student
 
@@ -52,12 +53,26 @@ def run(
         ValueError: bounds or fixed values do not fit the robot, or the student does not fit the task.
     """
     # what cannot work must not claim the folder
+    folder = folder.resolve()  # machines of a cluster are at home elsewhere
     log = LoggedConsole(console or Console())
     planned = _Run(config, Files(folder), log, machines or Machines(), processes)
     with locked(folder):
         bind(folder, config)
         with log.into(folder):
             return planned.go()
+
+
+def check(config: RunConfig, factory: BodyFactory) -> None:
+    """Refuse what cannot run, before anything starts.
+
+    Raises:
+        FileNotFoundError: no generalist ships for robot and task.
+        ValueError: bounds or fixed values do not fit the robot, the generalist that ships does not fit its bodies, or
+            the student does not fit the task.
+    """
+    search_space(config, factory)
+    check_shipped(config, factory)
+    check_student(config.pretrain.task, config.distil, f"task '{config.task}'")
 
 
 class _Run:
@@ -67,9 +82,8 @@ class _Run:
         self.config, self.files, self.console, self.processes = config, files, console, processes
         self.machines = machines
         self.factory = body_factory(config.robot, config.bodies)
+        check(config, self.factory)
         self.bodies = BodySearch(config, files, self.factory, machines, console)
-        check_shipped(config, self.factory)
-        check_student(config.pretrain.task, config.distil, f"task '{config.task}'")
 
     def go(self) -> Files:
         """Do all stages."""

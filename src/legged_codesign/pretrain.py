@@ -71,10 +71,15 @@ def check_shipped(config: RunConfig, factory: BodyFactory) -> None:
 
     Raises:
         FileNotFoundError: no generalist ships for robot and task.
-        ValueError: it was trained on another design space, or with constant gains.
+        ValueError: it was trained on another design space, by another scaling rule, or with constant gains.
     """
     if config.from_scratch:
         return
+    if config.bodies.rule not in (None, "paper"):
+        raise ValueError(
+            f"the generalist that ships was trained on bodies of the rule 'paper', not '{config.bodies.rule}'; "
+            "--from-scratch trains one for it"
+        )
     if config.bodies.gains != "none":
         raise ValueError(
             f"the generalist that ships was trained with constant gains, not with '{config.bodies.gains}'; "

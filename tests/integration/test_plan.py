@@ -66,5 +66,20 @@ def test_dry_run_refuses_what_a_run_would_refuse(codesign) -> None:
     assert "spot" in output
 
 
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ("--bounds front_shin=1:1.4", "front_shin"),
+        ("--robot lite3 --task hills", "lite3"),
+        ("--rule stretch", "'paper', not 'stretch'"),
+        ("--task hills --student depth", "way"),
+    ],
+)
+def test_dry_run_refuses_settings_that_do_not_fit(codesign, options: str, named: str) -> None:
+    code, output = codesign("run", "--preset", "laptop", "--dry-run", *options.split())
+    assert code == 1
+    assert named in output
+
+
 def test_default_is_no_dry_run() -> None:
     assert not Run().dry_run

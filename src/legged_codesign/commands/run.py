@@ -40,7 +40,8 @@ class Run:
     """return: undiscounted reward (eq. 9). energy: positive joint work (eq. 10). cost-of-transport: the same
     per weight and way; energies count with tracking as a constraint."""
     pareto: bool = False
-    """Search for the best compromises of return and energy; the objective still decides among them."""
+    """Search for the best compromises of the objective and return, or of return and energy if that is the objective; it
+    still decides among them."""
     bounds: tuple[str, ...] = ()
     """Search bounds by parameter, such as front_shank=1:1.4 hind_shank=1:1.4."""
     fix: tuple[str, ...] = ()
@@ -135,12 +136,14 @@ class Run:
 
     def run(self, console: Console) -> None:
         """Run, or say what would be done."""
-        from legged_codesign.pipeline import run
+        from legged_codesign.pipeline import check, run
         from legged_codesign.plan import print_plan
 
         if self.dry_run:
             config = self.config()
-            print_plan(config, body_factory(config.robot, config.bodies), self.machines(), console)
+            factory = body_factory(config.robot, config.bodies)
+            check(config, factory)
+            print_plan(config, factory, self.machines(), console)
             return
         name = f"{self.preset}-{short_name(self.chosen_robot)}-{self.task}-{self.objective}"
         folder = self.folder or Path("runs") / name

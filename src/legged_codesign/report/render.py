@@ -29,7 +29,7 @@ HEADINGS = {
     "slices": "Along each parameter",
     "sensitivity": "Sensitivity",
     "calibration": "Calibration",
-    "pareto": "Return against energy",
+    "pareto": "Compromises",
     "timeline": "Time line",
 }
 
