@@ -41,13 +41,14 @@ STUDENTS: Mapping[str, Student] = {
     "go2-blind": Student(
         "python studies/student_blind.py --seeds 1",
         "runs/studies/student-blind/hills-seed-1",
-        """--env locomotion --option robot=go2 'design=[1,1,1,1]' 'terrain=["hills"]' num_envs=100 'vx=[0.5,0.5]'""",
+        """--env locomotion --option robot=go2 'design=[1,1,1,1]' 'terrain=["hills"]' num_envs=100 'vx=[0.5,0.5]' """
+        "terrain_seed=4242",
     ),
     "lite3-depth": Student(
         "python studies/student_depth.py --seeds 1",
         "runs/studies/student-depth/seeing-seed-1",
         """--env parkour-depth --option robot=lite3 'design=[1,1,1,1]' 'terrain=["hurdles"]' num_envs=200 """
-        "'vx=[0.9,1.0]'",
+        "'vx=[0.9,1.0]' terrain_seed=4242",
     ),
 }
 """The students that ship, <robot>-<eyes>."""

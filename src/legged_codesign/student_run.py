@@ -196,13 +196,15 @@ class StudentRun:
         write_text(self.comparison, json.dumps({"means": table_of(scores), "robots": robots}, indent=1) + "\n")
 
     def scores(self, video: Path | None = None) -> dict[str, distill.Score]:
-        """Teacher, adapted teacher and student, without noise and pushes.
+        """Teacher, adapted teacher and student, without noise and pushes, on ground that no training has seen.
 
         Args:
             video: film of one robot under each, as an .mp4; None makes none.
         """
         protocol, teacher = self.config.distil.judged, self._teacher()
-        env = self._env(walking_protocol(teacher.card.task, protocol), protocol.robots_per_body)
+        task = walking_protocol(teacher.card.task, protocol)
+        task = replace(task, terrain=replace(task.terrain, seed=protocol.seed))
+        env = self._env(task, protocol.robots_per_body)
         policies: dict[str, MemoryPolicy | distill.Teacher] = {"teacher": teacher}
         if self.config.distil.adapt is not None:
             networks = distill.load_adaptation(self.adaptation)

@@ -61,6 +61,13 @@ def test_planes_have_no_contrast_and_a_low_step_has(down, right, middle):
     assert edges[14:-1, 24:-3].max() < 1e-4
 
 
+def test_contrast_is_the_difference_from_what_pooling_says():
+    image = torch.rand(2, 1, 24, 36) - 0.5
+    inverse = (image + 0.5).clamp(min=0.1).reciprocal()
+    around = torch.nn.functional.avg_pool2d(inverse, (3, 7), 1, (1, 3), count_include_pad=False)
+    torch.testing.assert_close(contrast(image), (30.0 * (inverse - around)).clamp(-3.0, 3.0), rtol=0, atol=2e-4)
+
+
 def test_contrast_of_what_is_too_near_or_too_far_is_bounded():
     image = torch.rand(1, 1, 24, 36).round() - 0.5
     assert contrast(image).abs().max() == 3.0

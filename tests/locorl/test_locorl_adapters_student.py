@@ -107,10 +107,12 @@ def test_every_declared_entry_point_exists_and_makes_what_its_name_says(factory,
 def test_options_choose_task_ground_body_and_history(factory, tiny, monkeypatch, tmp_path):
     monkeypatch.setattr(providers, "find_factory", lambda robot: factory)
     env = providers.locomotion(
-        task="locomotion-rough", terrain=["flat"], num_envs=3, design=[1.0, 1.1, 1.0, 1.1], history=2, spread=True
+        task="locomotion-rough", terrain=["flat"], num_envs=3, design=[1.0, 1.1, 1.0, 1.1], history=2
     )
     assert env.env.task.name == "locomotion-rough"
     assert env.env.terrain.kinds == ("flat",)
+    fresh = providers.locomotion(task="locomotion-rough", terrain=["flat"], num_envs=2, terrain_seed=5)
+    assert fresh.env.task.terrain == replace(env.env.task.terrain, seed=5)
     assert np.array_equal(env.env.bodies.designs, np.tile([1.0, 1.1, 1.0, 1.1], (3, 1)))
     assert env.group_dims["history"] == 2 * env.group_dims["proprio"]
     # the task of a policy is that which it was trained on, whatever the catalogue says today

@@ -81,6 +81,18 @@ def test_a_waypoint_counts_when_the_robot_stays_near_it():
     assert goals.index.tolist() == [0, 0]
 
 
+def test_the_last_waypoint_is_a_finishing_line():
+    """Past it counts, as far aside as a robot may be; past another one does not."""
+    goals = Waypoints(GoalConfig(reach=0.2, hold=0.04), count=2, dt=0.02, num_envs=2, device=CPU)
+    goals.assign(torch.arange(2), torch.tensor([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]).expand(2, 2, 3))
+    goals.index[0] = 1
+    before, past = torch.tensor([1.99, 0.7, 0.3]), torch.tensor([2.01, 0.7, 0.3])
+    for position, finished in ((before, False), (before, False), (past, False), (past, True)):
+        goals.advance(torch.stack((position, position)))
+        assert goals.finished().tolist() == [finished, False]
+    assert goals.index[1] == 0
+
+
 def test_directions_and_heading_errors_by_hand():
     goals = Waypoints(GoalConfig(), count=2, dt=0.02, num_envs=1, device=CPU)
     goals.assign(torch.tensor([0]), torch.tensor([[[3.0, 4.0, 1.0], [0.0, 9.0, 0.0]]]))

@@ -340,6 +340,7 @@ def test_waypoints_lead_along_the_tile(kind):
         assert (np.abs(points[:, 1] - middle) < terrain.tile_width / 2 - 0.5).all()
         np.testing.assert_allclose(points[:, 2], world.height(*points[:, :2].T), atol=1e-5)
         assert (points[:, 2] > -0.2).all()  # none in a pit
+        np.testing.assert_allclose(points[-1, 1], points[-2, 1])  # straight on behind the last obstacle
 
 
 @pytest.mark.parametrize("kind", KINDS)

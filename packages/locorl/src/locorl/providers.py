@@ -81,6 +81,7 @@ def make_env(
     policy: str | None = None,
     history: int = 0,
     vx: tuple[float, float] | None = None,
+    terrain_seed: int | None = None,
     spread: bool = True,
     device: str = "cpu",
 ) -> StudentEnv:
@@ -98,10 +99,11 @@ def make_env(
         history: past frames of proprioception in the observation group `history`.
         vx: lowest and highest forward command, m/s: the walking protocol, to judge by (see `EvalConfig`): no noise, no
             pushes, one command for each robot; None leaves the task as it is trained on.
+        terrain_seed: of the map, to judge on ground that no training has seen; None keeps the task's.
         spread: see `StudentEnv`.
         device: `cuda` or `cuda:1` simulates there, on MuJoCo Warp.
     """
-    config = _task(task, preset, terrain, policy, history, vx)
+    config = _task(task, preset, terrain, policy, history, vx, terrain_seed)
     return StudentEnv(_robots(robot, num_envs, design, seed, config, device), spread)
 
 
@@ -126,6 +128,7 @@ def parkour_depth(
     policy: str | None = None,
     history: int = 0,
     vx: tuple[float, float] | None = None,
+    terrain_seed: int | None = None,
     spread: bool = True,
     rows: int = 24,
     columns: int = 36,
@@ -144,12 +147,13 @@ def parkour_depth(
         policy: whose task to take.
         history: past frames of proprioception.
         vx: of the walking protocol.
+        terrain_seed: of the map.
         spread: over all tiles.
         rows: height of an image, px; the reference implementation has 58.
         columns: its width, px; there 87.
         device: see `make_env`.
     """
-    config = _task(task, preset, terrain, policy, history, vx)
+    config = _task(task, preset, terrain, policy, history, vx, terrain_seed)
     config = with_camera(config, replace(DepthConfig.small(), rows=rows, columns=columns), history)
     return VisionEnv(_robots(robot, num_envs, design, seed, config, device), spread)
 
@@ -161,10 +165,13 @@ def _task(
     policy: str | None,
     history: int,
     vx: tuple[float, float] | None,
+    terrain_seed: int | None,
 ) -> TaskConfig:
     config = make_task(task, preset) if policy is None else load_policy(Path(policy)).card.task
     if terrain:
         config = config.on(terrain)
+    if terrain_seed is not None:
+        config = replace(config, terrain=replace(config.terrain, seed=terrain_seed))
     if vx is not None:
         slowest, fastest = vx
         config = walking_protocol(config, EvalConfig(vx=(slowest, fastest), reset_joint=_RESET_JOINT))

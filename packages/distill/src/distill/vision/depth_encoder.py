@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import pad
 
 from distill.errors import InterfaceError
 from distill.vision.config import DepthEncoderConfig
@@ -26,8 +26,24 @@ def contrast(image: Tensor) -> Tensor:
         image: (..., rows, columns), from -0.5 (no distance) to 0.5 (far).
     """
     inverse = (image + NOTHING).clamp(min=_NEAREST).reciprocal()
-    around = avg_pool2d(inverse, _WINDOW, 1, tuple(size // 2 for size in _WINDOW), count_include_pad=False)
+    around = _window_sum(inverse) / _window_sum(torch.ones_like(inverse))
     return (_GAIN * (inverse - around)).clamp(-_CLIP, _CLIP)
+
+
+def _window_sum(image: Tensor) -> Tensor:
+    """Sum over the window about each pixel, (..., rows, columns), in an order that is the same in every runtime.
+
+    Pooling adds up as it likes, and the gain would make that difference thirty times as large.
+    """
+    rows, columns = (size // 2 for size in _WINDOW)
+    image = pad(image, (columns, columns, rows, rows))
+    for dim, size in zip((-2, -1), _WINDOW, strict=True):
+        length = image.shape[dim] - size + 1
+        shifted = [image.narrow(dim, first, length) for first in range(size)]
+        image = shifted[0]
+        for each in shifted[1:]:
+            image = image + each
+    return image
 
 
 class DepthEncoder(nn.Module):

@@ -13,7 +13,7 @@ from locorl.env.state import Stateful
 
 @dataclass(frozen=True)
 class GoalConfig:
-    """When a waypoint counts as reached."""
+    """When a waypoint counts as reached. The last one is a finishing line: past it counts, however far aside."""
 
     reach: float = 0.2
     """Horizontal distance, m."""
@@ -50,7 +50,9 @@ class Waypoints(Stateful):
 
     def advance(self, position: Tensor) -> None:
         """Count one control step with the bases at `position` (N, 3)."""
-        near = (self.ahead(0) - position)[:, :2].square().sum(dim=1) < self.config.reach**2
+        way = self.ahead(0) - position
+        near = way[:, :2].square().sum(dim=1) < self.config.reach**2
+        near |= (self.index == self.count - 1) & (way[:, 0] < 0.0)  # courses run along x
         self._near = torch.where(near, self._near + 1, torch.zeros_like(self._near))
         reached = (self._near >= self._hold) & (self.index < self.count)
         self.index += reached

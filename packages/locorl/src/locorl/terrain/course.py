@@ -24,7 +24,9 @@ def course(
     obstacle: float,
     floor: bool = True,
 ) -> Tile:
-    """A tile with a start, a first waypoint on the run-up, one per obstacle, and a last one behind them.
+    """A tile with a start, a first waypoint on the run-up, one per obstacle, and a last one straight on behind them.
+
+    The last one marks no place that a camera could see, so it lies where the last obstacle leads to.
 
     Args:
         size: of the tile.
@@ -44,7 +46,7 @@ def course(
         )
     if not floor:
         boxes = (slab(0.0, RUN_UP, size), *boxes, slab(end, size.length, size))
-    waypoints = np.array([(_FIRST, 0.0), *points, (end + _LAST, 0.0)])
+    waypoints = np.array([(_FIRST, 0.0), *points, (end + _LAST, points[-1][1])])
     return Tile(tuple(boxes), (_START, 0.0), waypoints, floor=floor, obstacle=obstacle)
 
 
