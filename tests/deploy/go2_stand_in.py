@@ -32,8 +32,8 @@ PERIOD = 0.004
 class Switcher:
     """The service that says which of the robot's own programs walks, and ends it."""
 
-    def __init__(self, participant, stubborn):
-        self.active, self.stubborn = "ai", stubborn
+    def __init__(self, participant, stubborn, mumbling):
+        self.active, self.stubborn, self.mumbling = "ai", stubborn, mumbling
         self.requests = DataReader(participant, Topic(participant, "rt/api/motion_switcher/request", Request_))
         self.responses = DataWriter(participant, Topic(participant, "rt/api/motion_switcher/response", Response_))
 
@@ -45,6 +45,7 @@ class Switcher:
             if identity.api_id == 1003 and not self.stubborn:
                 self.active = ""
             data = json.dumps({"form": "0", "name": self.active}) if identity.api_id == 1001 else ""
+            data = data.replace("name", "mode") if self.mumbling else data
             self.responses.write(Response_(ResponseHeader_(identity, ResponseStatus_(0)), data, []))
 
 
@@ -52,7 +53,9 @@ def main():
     domain, xml, *options = sys.argv[1:]
     kept = Domain(int(domain), xml)
     participant = DomainParticipant(int(domain))
-    switcher = None if "--no-switcher" in options else Switcher(participant, "--stubborn" in options)
+    switcher = (
+        None if "--no-switcher" in options else Switcher(participant, "--stubborn" in options, "--mumbling" in options)
+    )
     commands = DataReader(participant, Topic(participant, "rt/lowcmd", LowCmd_))
     states = DataWriter(participant, Topic(participant, "rt/lowstate", LowState_))
     crc, state = CRC(), unitree_go_msg_dds__LowState_()
@@ -68,6 +71,8 @@ def main():
     begin = time.monotonic()
     print(json.dumps({"ready": kept is not None}), flush=True)
     while True:
+        if mode == "restart":
+            begin, mode = time.monotonic(), "normal"
         if mode != "freeze":
             state.tick = int((time.monotonic() - begin) * 1000) + 1
         if mode == "nan":

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from deploy import Controller, ControllerConfig, OnnxRuntime, RobotError, load_bundle, run
+from deploy import Controller, ControllerConfig, DeployError, OnnxRuntime, RobotError, Unattended, load_bundle, run
 from deploy.control.controller import Mode
 from deploy.control.schedule import Schedule
 from deploy.interfaces import PolicyOutput
@@ -128,10 +128,10 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("mode", TICKS_TO)
+@pytest.mark.parametrize("mode", [Mode.IDLE, *TICKS_TO])
 @pytest.mark.parametrize("words", FAULTS)
 def test_fault_damps_and_latches(drive, mode, words):
-    drive(TICKS_TO[mode] - 1)
+    drive(TICKS_TO.get(mode, 0))
     sent, damped = len(drive.robot.sent), drive.robot.damped
     drive.robot.fault = FAULTS[words]
     [tick] = drive(1)
@@ -305,6 +305,21 @@ def test_run_on_a_robot_that_is_not_simulated(bundle_dir, fake_robot, tmp_path):
     assert summary.cost_of_transport is None
     assert summary.energy_j_50hz == 0.0
     assert (robot.damped >= 1, robot.stopped) == (True, 1)
+
+
+def test_metal_wants_an_operator_the_right_legs_and_a_long_goodbye(bundle_dir, fake_robot):
+    robot = fake_robot()
+    robot.clock.virtual = False
+    with pytest.raises(DeployError, match="no simulation: name its operator"):
+        run(bundle_dir, (0.3, 0.0, 0.0), 0.1, robot=robot, config=QUICK)
+    somebody = Unattended()
+    with pytest.raises(RobotError, match=r"trained with calf 1.1, this fake has 1;"):
+        run(bundle_dir, (0.3, 0.0, 0.0), 0.1, None, robot, 0, QUICK, somebody)
+    assert (robot.reads, robot.damped) == (0, 0)
+    built = {"calf": 1.1}
+    assert run(bundle_dir, (0.3, 0.0, 0.0), 0.1, None, robot, 0, QUICK, somebody, design=built).completed
+    passive_and_last = 2 + 1
+    assert (robot.damped, robot.stopped) == (passive_and_last + 1 + 26, 1)
 
 
 def test_driver_that_raises_leaves_a_damped_robot_and_a_log(bundle_dir, fake_robot, tmp_path):

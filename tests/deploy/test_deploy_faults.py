@@ -78,6 +78,14 @@ class Frozen:
         return replace(self.first, stamp_ns=state.stamp_ns, seq=state.seq)
 
 
+class FrozenImu(Frozen):
+    """... where the joints live."""
+
+    def __call__(self, state):
+        first = super().__call__(state)
+        return replace(state, quat_wxyz=first.quat_wxyz, gyro=first.gyro, acc=first.acc)
+
+
 class Stale:
     """A driver that repeats its last reading."""
 
@@ -96,6 +104,7 @@ def unplugged(state):
 FAULTS = {
     "stale": (Stale, 4, "ms old"),
     "frozen": (Frozen, 5, "frozen, 5 readings"),
+    "frozen IMU": (FrozenImu, 5, "frozen, 5 readings of the IMU"),
     "nan": (lambda: nans, 1, "q is not finite"),
     "zero": (lambda: zeros, 1, "all joint angles and velocities are zero"),
     "no IMU": (
@@ -114,12 +123,13 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("mode", TICKS_TO)
+@pytest.mark.parametrize("mode", [Mode.IDLE, *TICKS_TO])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_fault_in_every_state(drive, fault, mode):
     """Within the ticks that the guard needs, whatever mode that is by then; then nothing but damping."""
     made = drive()
-    made(TICKS_TO[mode] - 1)
+    made(TICKS_TO.get(mode, 0))
+    assert made.controller.mode is mode
     make, within, words = FAULTS[fault]
     made.robot.fault = make()
     ticks = made(within)
@@ -208,6 +218,20 @@ def test_loop_that_was_away_damps(drive):
         tick = made.controller.tick(Slot(99, now, now, late=True, skipped=skipped), COMMAND)
         assert tick.mode is mode
     assert "deadline: 6 slots given up" in tick.reason
+
+
+def test_loop_that_is_away_again_and_again_damps(drive):
+    """Ten slots within a second are counted, more are too many; what is longer ago is forgotten."""
+    for every, last, mode in ((2, 11, Mode.DAMP), (10, 199, Mode.POLICY)):
+        made = drive()
+        made(16)
+        modes = []
+        for k in range(1, last + 1):
+            now = made.robot.clock.time
+            tick = made.controller.tick(Slot(100 + every * k, now, now, late=True, skipped=1), COMMAND)
+            modes.append(tick.mode)
+        assert modes == [Mode.POLICY] * (last - 1) + [mode]
+        assert tick.reason == ("deadline: 11 slots given up within a second, limit 10" if mode is Mode.DAMP else "")
 
 
 def test_every_threshold_can_be_chosen(drive):

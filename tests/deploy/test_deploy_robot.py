@@ -181,6 +181,10 @@ def test_reading_changes_nothing(bundle):
         ('timestep="0.005"', 'timestep="0.004"', "physics step"),
         ('<position name="FL_hip_joint"', '<position gear="2" name="FL_hip_joint"', "not a position servo"),
         ("<worldbody>", "<worldbody><nonsense/>", "MuJoCo cannot compile"),
+        ("<worldbody>", '<include file="../other.xml"/><worldbody>', "<include file='../other.xml'> reaches outside"),
+        ("<worldbody>", '<asset><mesh file="/leg.stl"/></asset><worldbody>', "<mesh file='/leg.stl'> reaches outside"),
+        ("<worldbody>", '<compiler meshdir="."/><worldbody>', "<compiler meshdir='.'> reaches outside"),
+        ("</mujoco>", "", "not valid XML"),
     ],
 )
 def test_scene_of_another_robot_is_refused(folder, old, new, words):

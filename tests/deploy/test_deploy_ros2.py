@@ -3,6 +3,8 @@
 import subprocess
 import sys
 import threading
+from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from deploy.interfaces import Intrinsics, JointCommand, RobotSpec
 from deploy.robots.opening import Connection, open_robot
 from deploy.robots.ros2.messages import depth_image, fill_servo, intrinsics, joint_arrays, robot_state
 from deploy.robots.ros2.robot import Ros2Config, Ros2Robot
+from deploy.robots.specs import GO2, ROBOTS, mismatches
 from ros2_stand_in import empty, install, over_the_wire
 
 NAMES = ("hip", "thigh", "calf")
@@ -272,13 +275,22 @@ except RobotError as error:
 def test_robots_are_opened_by_name(bundle_dir, seeing_dir):
     bundle, seeing = load_bundle(bundle_dir), load_bundle(seeing_dir)
     opened = open_robot("ros2", bundle, Connection(ros2=Ros2Config(imu="/imu/data")))
-    assert opened.spec.joint_names == bundle.joint_names
+    assert opened.spec == RobotSpec("box over ROS 2", bundle.joint_names)
     with pytest.raises(RobotError, match="no driver for a robot 'lite3'; choose mujoco, go2 or ros2"):
         open_robot("lite3", bundle)
     with pytest.raises(RobotError, match=r"box trot sees: name the robot's depth camera"):
         open_robot("ros2", seeing)
     for camera in ("ros2", "realsense"):
         assert open_robot("ros2", seeing, Connection(depth=camera)).read_depth() is None
+
+
+def test_a_known_robot_behind_ros2_keeps_its_limits(bundle_dir, monkeypatch):
+    bundle = load_bundle(bundle_dir)
+    known = replace(GO2, name="box", joint_names=bundle.joint_names[::-1])
+    monkeypatch.setitem(cast(dict, ROBOTS), "box", known)
+    spec = open_robot("ros2", bundle).spec
+    assert spec == replace(known, name="box over ROS 2", feet=None, state_hz=None, command_hz=None)
+    assert mismatches(bundle, spec) != []
 
 
 def test_a_go2_without_cyclonedds_says_what_to_install(bundle_dir, monkeypatch):

@@ -69,7 +69,7 @@ struct Bundle {
   double golden_atol;
 
   // Throws std::runtime_error that names the file and the element. The schema and the hashes of the files are
-  // checked by `deploy check`, not here.
+  // checked by `deploy doctor`, not here.
   static Bundle load(const std::string& root);
 
   std::string path(const std::string& file) const { return root + "/" + file; }

@@ -16,7 +16,7 @@ constexpr const char* kUsage =
     "legged_runner BUNDLE --golden               replay the recorded trace; status 0 if it is reproduced\n"
     "legged_runner BUNDLE --depth IN.npy OUT.npy [FX FY CX CY]\n"
     "                                            preprocess a frame: uint16 mm or float32 m -> float32 image\n"
-    "The hashes of the files are not checked here: `deploy check BUNDLE` does.\n";
+    "The hashes of the files are not checked here: `deploy doctor BUNDLE` does.\n";
 
 int golden(const char* folder) {
   legged::Policy policy(legged::Bundle::load(folder));

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -32,6 +33,9 @@ from deploy.robots.specs import ROBOTS, mismatches
 
 FALLEN_SHARE = 0.4
 """A simulated base lower over its feet than this share of its height at the start has fallen."""
+
+_LAST_DAMPS, _LAST_PAUSE_S = 25, 0.02
+"""How often, and how far apart, s, a robot of metal is damped before it is left alone."""
 
 RuntimeName: TypeAlias = Literal["onnx", "torchscript"]
 Observer: TypeAlias = Callable[[Sample], None]
@@ -65,7 +69,7 @@ def run(
         robot: The robot; None simulates the bundle's own scene (needs the extra `sim`).
         seed: Seed of the simulated robot's initial joint noise.
         config: Timing and thresholds of the controller.
-        operator: Who lets the robot go on and can stop it; None agrees to everything.
+        operator: Who lets the robot go on and can stop it; None agrees to everything, in simulation alone.
         dry_run: Compute and log everything, but send only damping.
         runtime: What runs the networks; "torchscript" needs the extra `torch`.
         design: Scales that a robot of metal was built with, by parameter; what is missing is 1.
@@ -78,7 +82,8 @@ def run(
         BundleError: The bundle is not intact or does not reproduce its golden trace.
         RobotError: The robot does not fit the bundle.
         LogError: The log cannot be written.
-        DeployError: The command lies outside of the trained range, or `mujoco` is missing.
+        DeployError: The command lies outside of the trained range, a robot of metal has no operator, or `mujoco` is
+            missing.
 
     Example:
         >>> summary = run("bundle", (0.5, 0.0, 0.0), duration=20.0, log="walk.mcap")  # doctest: +SKIP
@@ -89,7 +94,13 @@ def run(
     networks = open_runtime(bundle, runtime)
     check_golden(bundle, networks)
     robot = robot if robot is not None else _simulate(bundle, seed)
-    if robot.spec.name in ROBOTS and (problems := mismatches(bundle, robot.spec, design)):
+    metal = not robot.clock.virtual
+    if metal and operator is None:
+        raise DeployError(
+            f"{robot.spec.name} is no simulation: name its operator, such as Keyboard(), or Unattended() if nobody is "
+            "to be asked before it moves"
+        )
+    if (metal or robot.spec.name in ROBOTS) and (problems := mismatches(bundle, robot.spec, design)):
         raise RobotError(f"{bundle.name} must not run on {robot.spec.name}: {problems[0]}")
     config = config or ControllerConfig()
     info = RunInfo(
@@ -109,13 +120,13 @@ def run(
     with ExitStack() as stack:
         writer = None
         if log is not None:
-            writer = stack.enter_context(LogWriter(log, bundle, info, realtime=not robot.clock.virtual))
+            writer = stack.enter_context(LogWriter(log, bundle, info, realtime=metal))
             writer.add_metadata("controller", {**asdict(config), "dry_run": dry_run, "runtime": runtime})
         signals = stack.enter_context(Interrupts(operator or Unattended()))
         controller = Controller(bundle, robot, networks, config, signals, dry_run)
         stack.callback(controller.close)
         stack.callback(robot.stop)
-        stack.callback(robot.damp)
+        stack.callback(_leave_damped, robot)
         robot.start()
         _loop(bundle, robot, controller, info, observers, writer)
         summary = summarise(info, recorder.trace())
@@ -145,6 +156,15 @@ def report(log: str | Path) -> RunSummary:
     """
     read = read_log(log)
     return summarise(read.info, read.trace)
+
+
+def _leave_damped(robot: RobotInterface) -> None:
+    """Damp, and on metal again and again for a while: what comes last must arrive."""
+    robot.damp()
+    if not robot.clock.virtual:
+        for _ in range(_LAST_DAMPS):
+            time.sleep(_LAST_PAUSE_S)
+            robot.damp()
 
 
 def _simulate(bundle: Bundle, seed: int) -> RobotInterface:

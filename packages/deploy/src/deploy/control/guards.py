@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,8 @@ from deploy.control.schedule import Slot
 from deploy.interfaces import Array, RobotState, Seen
 from deploy.policy.observation import projected_gravity
 
-NUMBERS = ("q", "dq", "tau", "quat_wxyz", "gyro", "acc")
+IMU = ("quat_wxyz", "gyro", "acc")
+NUMBERS = ("q", "dq", "tau", *IMU)
 """What a reading consists of."""
 
 
@@ -22,8 +24,9 @@ class GuardLimits:
     Attributes:
         max_tilt: Angle between the base's and the world's vertical, rad.
         max_state_age_s: Age of a reading when it is used, s.
-        max_identical: Readings in a row that are equal in every number, from a robot with noise.
+        max_identical: Readings in a row in which the IMU is equal in every number, from a robot with noise.
         max_skipped: Slots in a row that the loop may give up.
+        max_skipped_per_s: Slots within a second that it may.
         joint_margin: How far a joint may go beyond its limit, which is soft, rad.
         torque_margin: How far a measured torque may go beyond its limit, as a share of it.
         torque_ticks: Ticks in a row from which on a torque beyond that counts: estimates from motor currents spike.
@@ -39,6 +42,7 @@ class GuardLimits:
     max_state_age_s: float = 0.040
     max_identical: int = 5
     max_skipped: int = 5
+    max_skipped_per_s: int = 10
     joint_margin: float = 0.1
     torque_margin: float = 0.25
     torque_ticks: int = 3
@@ -64,6 +68,8 @@ class Guards:
         self._noiseless = noiseless
         self._last = b""
         self._identical = 1
+        self._second = bundle.policy_hz
+        self._skipped: deque[tuple[int, int]] = deque()
         self._overloaded = np.zeros(len(self._names), dtype=np.int64)
         depth, period = bundle.depth, 1.0 / bundle.policy_hz
         ticks = 0 if depth is None else depth.latency_ticks + depth.period_ticks
@@ -73,6 +79,13 @@ class Guards:
         """Why a loop that was away must not go on, or None if it may."""
         if not slot.skipped <= self._limits.max_skipped:
             return f"deadline: {slot.skipped} slots given up in a row, limit {self._limits.max_skipped}"
+        if slot.skipped:
+            self._skipped.append((slot.index, slot.skipped))
+        while self._skipped and self._skipped[0][0] <= slot.index - self._second:
+            self._skipped.popleft()
+        lost = sum(skipped for _, skipped in self._skipped)
+        if not lost <= self._limits.max_skipped_per_s:
+            return f"deadline: {lost} slots given up within a second, limit {self._limits.max_skipped_per_s}"
         return None
 
     def check_state(self, state: RobotState, now_ns: int) -> str | None:
@@ -101,11 +114,12 @@ class Guards:
         return self._check_joints(state)
 
     def _check_frozen(self, state: RobotState) -> str | None:
-        numbers = b"".join(getattr(state, name).tobytes() for name in NUMBERS)
+        # an IMU is never still, joints may be
+        numbers = b"".join(getattr(state, name).tobytes() for name in IMU)
         self._identical = self._identical + 1 if numbers == self._last else 1
         self._last = numbers
         if not self._noiseless and self._identical >= self._limits.max_identical:
-            return f"state: frozen, {self._identical} readings in a row are equal in every number"
+            return f"state: frozen, {self._identical} readings of the IMU in a row are equal in every number"
         return None
 
     def _check_joints(self, state: RobotState) -> str | None:

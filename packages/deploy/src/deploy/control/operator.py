@@ -12,10 +12,10 @@ from typing import Any, Protocol, TextIO
 
 
 class Operator(Protocol):
-    """Asked once per tick."""
+    """Asked once per tick: first `stop`, then `go`, where the robot waits for it."""
 
     def go(self) -> bool:
-        """Whether the robot may stand up, and later whether the policy may take over."""
+        """Whether the robot may stand up, and later whether the policy may take over; consent given earlier is none."""
         ...
 
     def stop(self) -> str | None:
@@ -36,7 +36,9 @@ class Unattended:
 
 
 class Keyboard:
-    """Enter lets the robot go on, any other key stops it; so does a keyboard that is gone.
+    """Enter lets the robot go on where it waits, any other key stops it; so does a keyboard that is gone.
+
+    An Enter pressed while nobody waits for one is forgotten with the next tick.
 
     A context manager: keys count at once, without Enter behind them, where standard input is a terminal.
     """
@@ -66,13 +68,14 @@ class Keyboard:
             termios.tcsetattr(self._stream, termios.TCSADRAIN, self._settings)
 
     def go(self) -> bool:
-        """Whether Enter was pressed since the last time this said yes."""
+        """Whether Enter was pressed since the `stop` before last; says so once."""
         self._poll()
         agreed, self._go = self._go, False
         return agreed
 
     def stop(self) -> str | None:
-        """Whether any other key was ever pressed, or the keyboard is gone."""
+        """Whether any other key was ever pressed, or the keyboard is gone; forgets an Enter that came before."""
+        self._go = False
         self._poll()
         return self._stop
 
@@ -90,13 +93,14 @@ class Keyboard:
 
 
 class Interrupts:
-    """Ctrl-C and a request to terminate as a stop, not as an exception in the middle of a tick.
+    """Ctrl-C, Ctrl-Z, a closed terminal and a request to terminate as a stop, not in the middle of a tick.
 
     A context manager around another operator. The second signal raises KeyboardInterrupt, for a driver that hangs.
     Only the main thread can take signals; elsewhere this changes nothing.
     """
 
-    SIGNALS = (signal.SIGINT, signal.SIGTERM)
+    SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
+    """What would leave the motors with their last command if it ended or paused the process."""
 
     def __init__(self, operator: Operator) -> None:
         """Listen to signals beside `operator`."""

@@ -46,7 +46,7 @@ uint32 skipped             # slots given up since the previous tick
 """,
     "legged_deploy/msg/ControllerState": """
 std_msgs/Header header
-string mode                # stand_up, ramp_in, policy, damp
+string mode                # idle, passive, stand_up, ready, ramp_in, policy, damp
 string reason              # why the robot is damped
 uint32 clamped             # joint targets cut to the joint limits at this tick
 """,

@@ -78,7 +78,7 @@ def _take(data: bytes, position: int, end: int, found: Salvage) -> int | None:
     """Keep the record at `position` and return where it ends; None if it is not intact."""
     if position + RECORD.size > end:
         return None
-    if data[position + CHUNK_FIELDS.size :][: len(ZSTD)] == ZSTD:
+    if data.startswith(ZSTD, position + CHUNK_FIELDS.size):
         chunk = _chunk(data, position, end)
         if chunk is None:
             return None

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -56,9 +57,11 @@ def load_scene(bundle: Bundle) -> Scene:
     """Compile the scene of a bundle.
 
     Raises:
-        RobotError: The scene does not compile or does not hold the robot that the manifest describes.
+        RobotError: The scene does not compile, reads files outside of the bundle, or does not hold the robot that the
+            manifest describes.
     """
     path = bundle.path(bundle.robot.scene)
+    _stay_inside(path)
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
@@ -72,6 +75,21 @@ def load_scene(bundle: Bundle) -> Scene:
     finder.check_body(bundle, joints, base)
     root_qpos, root_dof = finder.root(bundle.robot.base, base)
     return Scene(model, joints, base, root_qpos, root_dof, feet, np.array([finder.foot_geom(foot) for foot in feet]))
+
+
+def _stay_inside(path: Path) -> None:
+    """Refuse references to files that no hash of the bundle covers."""
+    try:
+        elements = list(ElementTree.parse(path).iter())
+    except ElementTree.ParseError as error:
+        raise RobotError(f"{path}: not valid XML ({error}); export it again") from error
+    for element in elements:
+        for name, value in element.attrib.items():
+            if name in ("meshdir", "texturedir", "assetdir") or (name.startswith("file") and Path(value).name != value):
+                raise RobotError(
+                    f"{path}: <{element.tag} {name}={value!r}> reaches outside of the bundle; put the file beside it "
+                    "and list it in the manifest"
+                )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from deploy.bundles.manifest import Bundle
@@ -12,6 +12,7 @@ from deploy.depth.sources import DepthSource
 from deploy.errors import RobotError
 from deploy.interfaces import RobotInterface, RobotSpec
 from deploy.robots.ros2.robot import Ros2Config, Ros2Robot
+from deploy.robots.specs import ROBOTS
 
 DRIVERS = ("go2", "ros2")
 
@@ -54,8 +55,7 @@ def open_robot(name: str, bundle: Bundle, connection: Connection | None = None) 
         raise RobotError(f"{bundle.name} sees: name the robot's depth camera, realsense or ros2 (--connect.depth)")
     camera = _camera(connection) if bundle.depth is not None else None
     if name == "ros2":
-        spec = RobotSpec(f"{bundle.robot.name} over ROS 2", bundle.joint_names)
-        return Ros2Robot(spec, connection.ros2, camera)
+        return Ros2Robot(_behind_ros2(bundle), connection.ros2, camera)
     try:
         from deploy.robots.unitree.robot import UnitreeConfig, UnitreeRobot
     except ImportError as error:
@@ -64,6 +64,14 @@ def open_robot(name: str, bundle: Bundle, connection: Connection | None = None) 
         connection.interface, connection.domain, allow_silent_publishers=connection.allow_silent_publishers
     )
     return UnitreeRobot(config, camera)
+
+
+def _behind_ros2(bundle: Bundle) -> RobotSpec:
+    """The robot that a bundle was made for, as far as it is known; feet and rates are its driver's affair."""
+    name, known = f"{bundle.robot.name} over ROS 2", ROBOTS.get(bundle.robot.name)
+    if known is None or set(known.joint_names) != set(bundle.joint_names):
+        return RobotSpec(name, bundle.joint_names)
+    return replace(known, name=name, feet=None, state_hz=None, command_hz=None)
 
 
 def _camera(connection: Connection) -> DepthSource:

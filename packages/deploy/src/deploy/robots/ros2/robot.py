@@ -47,7 +47,7 @@ class Ros2Robot:
         self._config = config
         self._depth = depth
         self._clock = clock or WallClock()
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal may damp in the middle of a write
         self._node: Ros2Node | None = None
         self._publish: Callable[[Any], None] | None = None
         self._joints: Any = None

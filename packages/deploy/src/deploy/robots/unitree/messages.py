@@ -87,9 +87,15 @@ class StampClock:
         self._seen_ns = 0
 
     def stamp(self, tick: int, now_ns: int) -> int:
-        """Time on our clock, ns, of a message with counter `tick` that is read at `now_ns`."""
-        if self._tick is None or self._restarted(tick):
+        """Time on our clock, ns, of a message with counter `tick` that is read at `now_ns`.
+
+        Raises:
+            ValueError: The counter went back, so nothing tells the age any more.
+        """
+        if self._tick is None:
             self._elapsed_ms, self._offset_ns = 0, now_ns
+        elif self._went_back(tick):
+            raise ValueError(f"the counter of its readings went back from {self._tick} to {tick}")
         else:
             self._elapsed_ms += (tick - self._tick) % self.WRAP
             if tick != self._tick:
@@ -99,7 +105,7 @@ class StampClock:
             self._tick, self._seen_ns = tick, now_ns
         return self._offset_ns + self._elapsed_ms * 1_000_000
 
-    def _restarted(self, tick: int) -> bool:
-        """Whether the counter went back, by more than late messages do: half of its range means that."""
+    def _went_back(self, tick: int) -> bool:
+        """Whether the counter went back: forward by more than half of its range means that."""
         assert self._tick is not None
         return (tick - self._tick) % self.WRAP > self.WRAP // 2

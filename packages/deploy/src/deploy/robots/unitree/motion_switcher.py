@@ -67,8 +67,9 @@ class MotionSwitcher:
         return True
 
     def _check(self, end: float) -> str | None:
-        answer = self._call(CHECK_MODE, end)
-        return None if answer is None else str(answer.get("name", ""))
+        """Name of the active service, "" for none; None where the answer does not say."""
+        name = (self._call(CHECK_MODE, end) or {}).get("name")
+        return name if isinstance(name, str) else None
 
     def _call(self, api_id: int, end: float) -> dict[str, Any] | None:
         """Ask, and wait for the answer to this very request, at most 1 s."""

@@ -23,6 +23,8 @@ from deploy.robots.unitree.motion_switcher import MotionSwitcher
 from deploy.robots.unitree.wire import LowCmd, LowState
 
 COMMANDS, STATES = "rt/lowcmd", "rt/lowstate"
+LOOPBACK = "lo"
+"""Interface of simulators on this machine, which have no services."""
 _POLL_S = 0.005
 
 
@@ -60,7 +62,7 @@ class UnitreeRobot:
         self._depth = depth
         self._clock = clock or WallClock()
         self._stamps = StampClock()
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a signal may damp in the middle of a write
         self._states: DataReader | None = None
         self._others: DataReader | None = None
         self._writer: DataWriter | None = None
@@ -91,7 +93,12 @@ class UnitreeRobot:
         self._others = DataReader(participant, commands, NEWEST_OF_OTHERS)
         self._await_state()
         if self._config.release_service:
-            MotionSwitcher(participant).release(timeout_s=10.0)
+            found = MotionSwitcher(participant).release(timeout_s=10.0)
+            if found is None and self._config.interface != LOOPBACK:
+                raise RobotError(
+                    f"{self._where()}: no motion_switcher answers, so nobody knows what drives the motors; restart the "
+                    "robot, or set release_service=False if it has none and nothing else moves it"
+                )
         self._listen_for_others()
         if self._depth is not None:
             self._depth.start(self._clock)
@@ -111,7 +118,7 @@ class UnitreeRobot:
         """The latest state; its time is that of the robot's own counter.
 
         Raises:
-            RobotError: The robot is not started, or somebody else has begun to command it.
+            RobotError: The robot is not started, it was restarted meanwhile, or somebody else has begun to command it.
         """
         if self._states is None or self._others is None:
             raise RobotError(f"{self._where()}: not started")
@@ -121,7 +128,12 @@ class UnitreeRobot:
             )
         self._take()
         assert self._newest is not None  # `start` waited for it
-        stamp = self._stamps.stamp(self._newest.tick, self._clock.now_ns())
+        try:
+            stamp = self._stamps.stamp(self._newest.tick, self._clock.now_ns())
+        except ValueError as error:
+            raise RobotError(
+                f"{self._where()}: {error}: it was restarted, or two robots send {STATES} on this domain"
+            ) from error
         return robot_state(self._newest, stamp, self._reads, self._config.contact_force)
 
     def read_depth(self) -> DepthFrame | None:
