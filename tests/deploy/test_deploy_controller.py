@@ -1,11 +1,14 @@
 """State machine, guards and deadlines on a fake robot and a fake clock."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from deploy import Controller, ControllerConfig, DeployError, OnnxRuntime, RobotError, Unattended, load_bundle, run
+from deploy.control.clock import WallClock
 from deploy.control.controller import Mode
+from deploy.control.guards import GuardLimits
 from deploy.control.schedule import Schedule
 from deploy.interfaces import PolicyOutput
 from hypothesis import given, settings
@@ -320,6 +323,32 @@ def test_metal_wants_an_operator_the_right_legs_and_a_long_goodbye(bundle_dir, f
     assert run(bundle_dir, (0.3, 0.0, 0.0), 0.1, None, robot, 0, QUICK, somebody, design=built).completed
     passive_and_last = 2 + 1
     assert (robot.damped, robot.stopped) == (passive_and_last + 1 + 26, 1)
+
+
+class RealTime(WallClock):
+    @property
+    def time(self):
+        return self.now_ns()
+
+
+def test_a_loop_that_hangs_is_damped_meanwhile(bundle_dir, fake_robot):
+    """By a thread of its own, before the loop comes back and finds out."""
+    robot = fake_robot()
+    robot.clock = RealTime()
+    patient = replace(QUICK, guards=GuardLimits(max_skipped=25, max_skipped_per_s=1000))  # of a busy machine
+    damped = []
+
+    def hang(sample):
+        if sample.tick.mode is Mode.POLICY and not damped:
+            damped.append(robot.damped)
+            time.sleep(1.5)
+            damped.append(robot.damped)
+
+    built = {"calf": 1.1}
+    summary = run(bundle_dir, (0.3, 0.0, 0.0), 9.0, None, robot, 0, patient, Unattended(), design=built, on_tick=hang)
+    before, meanwhile = damped
+    assert meanwhile > before + 2
+    assert "slots given up in a row" in summary.reason
 
 
 def test_driver_that_raises_leaves_a_damped_robot_and_a_log(bundle_dir, fake_robot, tmp_path):

@@ -19,6 +19,7 @@ from deploy.control.binding import JointBinding
 from deploy.control.controller import Controller, ControllerConfig, Mode
 from deploy.control.operator import Interrupts, Operator, Unattended
 from deploy.control.schedule import Schedule
+from deploy.control.watchdog import Watchdog
 from deploy.errors import DeployError, RobotError
 from deploy.interfaces import PolicyRuntime, RobotInterface, Simulated
 from deploy.logs.messages import Sample
@@ -116,7 +117,7 @@ def run(
         version=version("legged-deploy"),
     )
     recorder = TraceRecorder()
-    observers = [recorder.add, *([] if on_tick is None else [on_tick])]
+    observers: list[Observer] = [recorder.add, *([] if on_tick is None else [on_tick])]
     with ExitStack() as stack:
         writer = None
         if log is not None:
@@ -128,6 +129,9 @@ def run(
         stack.callback(robot.stop)
         stack.callback(_leave_damped, robot)
         robot.start()
+        if metal:
+            away = (config.guards.max_skipped + 1) * bundle.period_ns * 1e-9
+            observers.insert(0, stack.enter_context(Watchdog(robot.damp, away)))
         _loop(bundle, robot, controller, info, observers, writer)
         summary = summarise(info, recorder.trace())
         if writer is not None:
