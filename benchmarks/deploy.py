@@ -35,7 +35,7 @@ import distill
 import numpy as np
 import torch
 import tyro
-from deploy import Controller, OnnxRuntime, load_bundle, run
+from deploy import Controller, OnnxRuntime, Unattended, load_bundle, run
 from deploy.bundles.manifest import Bundle
 from deploy.control.clock import WallClock
 from deploy.control.schedule import Schedule
@@ -204,6 +204,8 @@ def keep_time(bundle: Bundle, ticks: int) -> str:
             duration=ticks / bundle.policy_hz,
             log=Path(folder) / "run.mcap",
             robot=StillRobot(bundle, WallClock()),
+            operator=Unattended(),
+            design=bundle.robot.design,
             on_tick=samples.append,
         )
     slots = [sample.tick.slot for sample in samples if sample.tick.mode.value == "policy"]

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from deploy import Controller, ControllerConfig, LogError, OnnxRuntime, RobotError, load_bundle, run
+from deploy import Controller, ControllerConfig, LogError, OnnxRuntime, RobotError, Unattended, load_bundle, run
+from deploy.bundles.recording import record_golden
 from deploy.comparison import replay
 from deploy.control.controller import Mode
 from deploy.interfaces import DepthFrame
@@ -74,9 +75,10 @@ def test_a_run_whose_depth_encoder_was_too_late_is_reproduced(seeing_dir, fake_r
     robot.clock = RealClock()
     robot.eye = lambda time_ns: DepthFrame(time_ns // 20_000_000 * 20_000_000, time_ns // 20_000_000, images[0])
     path = tmp_path / "late.mcap"
-    summary = run(seeing_dir, (0.3, 0.0, 0.0), 1.0, path, robot, config=QUICK)
-    assert summary.completed, summary.reason
     bundle = load_bundle(seeing_dir)
+    built = bundle.robot.design
+    summary = run(seeing_dir, (0.3, 0.0, 0.0), 1.0, path, robot, 0, QUICK, Unattended(), design=built)
+    assert summary.completed, summary.reason
     result = replay(path, bundle, OnnxRuntime(bundle))
     assert (result.ticks, result.first) == (54, None)
 
@@ -149,6 +151,22 @@ def test_its_clock_walks_through_the_log(bundle_dir, log):
     assert robot.tick is robot.ticks[-1]
     robot.damp()
     robot.stop()
+
+
+def test_a_log_with_missing_ticks_is_not_replayed_past_them(bundle_dir, log, tmp_path, monkeypatch):
+    bundle, read = load_bundle(bundle_dir), ReplayRobot.__init__
+
+    def read_without_some(self, *args):
+        read(self, *args)
+        del self.ticks[60:63]
+
+    monkeypatch.setattr(ReplayRobot, "__init__", read_without_some)
+    slot = ReplayRobot(log, bundle).ticks[60].slot.index
+    with pytest.raises(LogError, match=f"3 ticks are missing before slot {slot} "):
+        replay(log, bundle, OnnxRuntime(bundle))
+    made = load_bundle(record_golden(log, bundle, tmp_path / "measured"))
+    before = [tick.obs is not None for tick in ReplayRobot(log, bundle).ticks[:60]].count(True)
+    assert made.golden.ticks == before
 
 
 def test_a_log_of_another_robot_is_refused(folder, log):

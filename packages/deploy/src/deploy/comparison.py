@@ -76,7 +76,7 @@ def replay(log: str | Path, bundle: Bundle, runtime: PolicyRuntime) -> ReplayRes
         How many ticks are reproduced, and where the first one is not.
 
     Raises:
-        LogError: The file is missing, torn, altered, not a log of this package, or no policy ran in it.
+        LogError: The file is missing, torn, altered, not a log of this package, or lacks ticks, or no policy ran in it.
         RobotError: The log is one of a robot with other joints.
     """
     robot = ReplayRobot(log, bundle)
@@ -93,6 +93,11 @@ def replay(log: str | Path, bundle: Bundle, runtime: PolicyRuntime) -> ReplayRes
                 continue
             if not running:
                 policy.reset()
+            elif lost := robot.lost_before(index):
+                raise LogError(
+                    f"{log}: {lost} ticks are missing before slot {tick.slot.index} (the disk was slow, or the log was "
+                    "recovered); what the policy remembers of them cannot be replayed"
+                )
             running, ran = True, ran + 1
             state = binding.state(robot.read())
             step = policy.step(state, tick.command, robot.read_depth, tick.slot.start_ns, tick.seen_tick)

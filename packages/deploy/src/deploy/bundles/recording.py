@@ -68,12 +68,13 @@ def record_golden(log: str | Path, bundle: Bundle, out: str | Path, ticks: int =
 
 
 def _raw(log: Path, bundle: Bundle, ticks: int) -> dict[str, NDArray[Any]]:
-    """The readings of the first time that the policy ran, with a reset in the middle."""
+    """The readings of the first time that the policy ran, as far as none is missing, with a reset in the middle."""
     robot = ReplayRobot(log, bundle)
     binding = JointBinding.of(bundle, robot.spec)
     ran = [tick.obs is not None for tick in robot.ticks]
     start = ran.index(True) if True in ran else len(ran)
     end = start + ran[start:].index(False) if False in ran[start:] else len(ran)
+    end = next((index for index in range(start + 1, end) if robot.lost_before(index)), end)
     part = robot.ticks[start : min(end, start + ticks)]
     period = 1 if bundle.depth is None else bundle.depth.period_ticks
     pictures = {tick.picture_tick: tick.frame for tick in part if tick.frame is not None}

@@ -101,6 +101,11 @@ class ReplayRobot:
         self._index = index
         return self.ticks[index]
 
+    def lost_before(self, index: int) -> int:
+        """How many ticks are missing from the log before one: a disk was slow, or the log was recovered."""
+        slot = self.ticks[index].slot
+        return slot.index - slot.skipped - 1 - self.ticks[index - 1].slot.index if index else 0
+
     def now_ns(self) -> int:
         """Time of the tick in turn, as soon as its reading is there, ns."""
         return max(self.tick.slot.start_ns, self.tick.state.stamp_ns)
