@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import deploy
 import pytest
-from distill import load_student, verify_bundle
+from distill import load_student, load_vision_student, verify_bundle
 from locorl import load_policy
 
 from legged_codesign.pretrained import shipped_bundle
 
+STUDENTS = ("go2-blind", "lite3-depth")
 
-@pytest.fixture(scope="module")
-def bundle() -> Path:
-    return shipped_bundle("go2-blind")
+
+@pytest.fixture(scope="module", params=STUDENTS)
+def bundle(request: pytest.FixtureRequest) -> Path:
+    return shipped_bundle(request.param)
 
 
 def test_the_bundle_is_intact(bundle: Path) -> None:
@@ -27,25 +30,39 @@ def test_it_is_small(bundle: Path) -> None:
 
 
 def test_student_and_teacher_lie_beside_it(bundle: Path) -> None:
+    manifest = json.loads((bundle / "manifest.json").read_text())
     teacher = load_policy(bundle.parent / "teacher.pt")
-    assert teacher.card.robot == json.loads((bundle / "manifest.json").read_text())["robot"]["name"]
-    load_student(bundle.parent / "student.pt", teacher)
+    assert teacher.card.robot == manifest["robot"]["name"]
+    load = load_vision_student if manifest.get("depth") else load_student
+    load(bundle.parent / "student.pt", teacher)
 
 
-def test_recorded_comparison_meets_the_target(bundle: Path) -> None:
-    record = json.loads((bundle.parent / "provenance.json").read_text())
-    teacher, student = (record["evaluation"]["comparison"][who]["all"] for who in ("teacher", "student"))
+def test_the_blind_one_keeps_its_teachers_return() -> None:
+    record, (teacher, student) = recorded("go2-blind")
     assert student["return"] >= 0.95 * teacher["return"]
     assert student["survived"] >= teacher["survived"] - 0.03
     assert record["minutes"] <= 10.0
 
 
-def test_it_walks(bundle: Path, tmp_path: Path) -> None:
-    summary = deploy.run(bundle, (0.5, 0.0, 0.0), 8.0, log=tmp_path / "walk.mcap")
+def test_the_seeing_one_keeps_its_teachers_success() -> None:
+    record, (teacher, student) = recorded("lite3-depth")
+    assert student["succeeded"] >= 0.85 * teacher["succeeded"]
+    assert record["minutes"] <= 60.0
+
+
+def recorded(name: str) -> tuple[dict[str, Any], list[dict[str, float]]]:
+    """Provenance, and the means of teacher and student over all robots."""
+    record = json.loads((shipped_bundle(name).parent / "provenance.json").read_text())
+    return record, [record["evaluation"]["comparison"][who]["all"] for who in ("teacher", "student")]
+
+
+@pytest.mark.parametrize(("name", "speed"), [("go2-blind", 0.5), ("lite3-depth", 0.95)])
+def test_it_walks(name: str, speed: float, tmp_path: Path) -> None:
+    summary = deploy.run(shipped_bundle(name), (speed, 0.0, 0.0), 8.0, log=tmp_path / "walk.mcap")
     assert summary.completed, summary.reason
-    assert summary.distance_m > 0.8 * 0.5 * 8.0
+    assert summary.distance_m > 0.8 * speed * 8.0
 
 
 def test_an_unknown_student_names_what_ships() -> None:
-    with pytest.raises(FileNotFoundError, match=r"'spot-blind'.*go2-blind.*codesign student"):
+    with pytest.raises(FileNotFoundError, match=r"'spot-blind'.*go2-blind.*lite3-depth.*codesign student"):
         shipped_bundle("spot-blind")
