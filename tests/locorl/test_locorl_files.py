@@ -19,11 +19,11 @@ from locorl.config import config_hash, differences, from_dict, to_dict
 from locorl.learning.policy import PolicyCard
 from locorl.training.metrics import MetricsFile, TrainingProgress, read_metrics
 
-finite = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
 
 
 @given(
-    st.builds(TrainConfig, num_envs=st.integers(1), seed=st.integers(0), task=st.builds(TaskConfig, max_tilt=finite))
+    st.builds(TrainConfig, num_envs=st.integers(1), seed=st.integers(0), task=st.builds(TaskConfig, max_tilt=positive))
 )
 def test_a_configuration_comes_back(config):
     text = json.dumps(to_dict(config))
