@@ -52,9 +52,9 @@ def run(
         LookupError: no installed package knows the robot.
         ValueError: bounds or fixed values do not fit the robot, or the student does not fit the task.
     """
-    # what cannot work must not claim the folder
     folder = folder.resolve()  # machines of a cluster are at home elsewhere
     log = LoggedConsole(console or Console())
+    # what cannot work must not claim the folder
     planned = _Run(config, Files(folder), log, machines or Machines(), processes)
     with locked(folder):
         bind(folder, config)

@@ -394,22 +394,12 @@ def test_a_robot_that_was_restarted_is_not_read(stand_in, robot):
 
 
 @pytest.mark.slow
-def test_a_service_whose_answer_says_nothing_counts_as_active(domain, stand_in):
+@pytest.mark.parametrize(("option", "service"), [("--stubborn", "'ai'"), ("--mumbling", "that does not answer")])
+def test_a_service_that_does_not_let_go_or_does_not_say_so(domain, stand_in, option, service):
     from deploy.robots.unitree.domain import join
     from deploy.robots.unitree.motion_switcher import MotionSwitcher
 
-    stand_in("--mumbling")
+    stand_in(option)
     switcher = MotionSwitcher(join(domain, "lo"))
-    with pytest.raises(RobotError, match="the service that does not answer may still drive the motors"):
-        switcher.release(timeout_s=2.0, discovery_s=10.0)
-
-
-@pytest.mark.slow
-def test_a_service_that_does_not_let_go(domain, stand_in):
-    from deploy.robots.unitree.domain import join
-    from deploy.robots.unitree.motion_switcher import MotionSwitcher
-
-    stand_in("--stubborn")
-    switcher = MotionSwitcher(join(domain, "lo"))
-    with pytest.raises(RobotError, match="the service 'ai' may still drive the motors 4 s after"):
+    with pytest.raises(RobotError, match=f"the service {service} may still drive the motors 4 s after"):
         switcher.release(timeout_s=4.0, discovery_s=10.0)
