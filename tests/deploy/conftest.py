@@ -269,8 +269,15 @@ class BundleFolder:
         for name, data in self.files.items():
             (self.root / name).write_bytes(data)
         self.manifest["files"] = {name: hashlib.sha256(data).hexdigest() for name, data in self.files.items()}
-        (self.root / "manifest.json").write_text(json.dumps(self.manifest))
+        write_manifest(self.root, self.manifest)
         return self.root
+
+
+def write_manifest(root: Path, manifest: object) -> None:
+    """Write the manifest of a bundle with its checksum as coreutils' `sha256sum manifest.json` prints it."""
+    text = json.dumps(manifest)
+    (root / "manifest.json").write_text(text)
+    (root / "manifest.sha256").write_text(f"{hashlib.sha256(text.encode()).hexdigest()}  manifest.json\n")
 
 
 @pytest.fixture

@@ -82,6 +82,7 @@ def test_every_required_key_is_required(folder):
         (("policy", "inputs", "image"), [1, 3], "image"),
         (("policy", "state", 0, "init"), "random", "init"),
         (("golden", "atol"), 0, "atol"),
+        (("golden", "atol"), 0.1, "atol"),
         (("training",), "unknown", "training"),
     ],
 )

@@ -287,6 +287,18 @@ def test_frames_that_show_nothing_are_told_apart(runner, seeing_folder, tmp_path
     np.testing.assert_array_equal(np.load(tmp_path / "image.npy"), 0.5)
 
 
+@pytest.mark.parametrize("pixels", [4, 5])
+def test_a_nearly_blind_camera_is_a_fault_as_in_python(runner, seeing_folder, tmp_path, pixels):
+    bundle = add_torchscript(seeing_folder, sees=True).seal()
+    image = np.zeros((6, 8), np.float32)
+    image.flat[:pixels] = 1.0
+    np.save(tmp_path / "frame.npy", image)
+    done = runner(bundle, "--depth", tmp_path / "frame.npy", tmp_path / "image.npy")
+    fault = DepthPreprocessor(DepthOptics.from_manifest(seeing_folder.manifest["depth"]))(DepthFrame(0, 0, image)).fault
+    assert done.stdout.splitlines()[1] == (fault or "")
+    assert (fault is None) == (pixels == 5)
+
+
 def test_cameras_that_do_not_fit(runner, seeing_folder, folder, tmp_path):
     np.save(tmp_path / "frame.npy", np.ones((480, 848), np.float32))
     bundle = add_torchscript(seeing_folder, sees=True).seal()

@@ -176,6 +176,16 @@ def test_frames_that_show_nothing_are_told_apart(image, words):
     np.testing.assert_array_equal(reading.image, 0.5)
 
 
+@pytest.mark.parametrize(("pixels", "fault"), [(9, "only 9.0% of the image is measured, need 10%"), (10, None)])
+def test_a_nearly_blind_camera_is_a_fault(pixels, fault):
+    optics = replace(SMALL, rows=10, columns=10)
+    image = np.zeros(100)
+    image[:pixels] = 1.0
+    reading = DepthPreprocessor(optics)(frame(image.reshape(10, 10)))
+    assert reading.measured == pytest.approx(pixels / 100)
+    assert reading.fault is None if fault is None else fault in str(reading.fault)
+
+
 def test_frames_may_change_their_size():
     preprocess = DepthPreprocessor(SMALL)
     for size in ((3, 8), (2, 3), (6, 16), (3, 8)):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from deploy import LogError, run
+from deploy.bundles.loading import checksum_line
 from deploy.cli import main
 from deploy.logs.reading import read_log
 from deploy.measure.account import account
@@ -59,7 +60,9 @@ def logs(bundle_dir, tmp_path_factory):
         manifest["robot"]["design"]["values"] = scales
         manifest["files"]["robot.urdf"] = hashlib.sha256(urdf().encode()).hexdigest()
         (bundle / "robot.urdf").write_text(urdf())
-        (bundle / "manifest.json").write_text(json.dumps(manifest))
+        text = json.dumps(manifest)
+        (bundle / "manifest.json").write_text(text)
+        (bundle / "manifest.sha256").write_text(checksum_line(hashlib.sha256(text.encode()).hexdigest()))
         made.append(root / f"{name}.mcap")
         run(bundle, (speed, 0.0, 0.0), duration=4.0, log=made[-1])
     return made

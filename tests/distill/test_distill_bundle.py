@@ -19,6 +19,7 @@ from distill import BundleError, RawStates, export_bundle, verify_bundle
 from distill import export as export_module
 from distill.golden import plausible_states
 from distill.leapp import write_leapp
+from distill.manifest import checksum_line
 
 FILES = {"policy.onnx", "policy.ts.pt", "golden.npz", "robot.urdf", "robot.xml", "scene.xml"}
 
@@ -44,13 +45,19 @@ def bundle(exported: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(exported, tmp_path / "bundle"))
 
 
+def rewrite(folder: Path, manifest: dict) -> None:
+    """A manifest whose own checksum is right."""
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    (folder / "manifest.sha256").write_text(checksum_line(folder / "manifest.json"))
+
+
 def manifest_of(folder: Path) -> dict:
     return json.loads((folder / "manifest.json").read_text())
 
 
 def test_the_folder_is_complete_and_hashed(bundle, spec):
     manifest = manifest_of(bundle)
-    assert {path.name for path in bundle.iterdir()} == FILES | {"manifest.json"}
+    assert {path.name for path in bundle.iterdir()} == FILES | {"manifest.json", "manifest.sha256"}
     assert set(manifest["files"]) == FILES
     for name, digest in manifest["files"].items():
         assert hashlib.sha256((bundle / name).read_bytes()).hexdigest() == digest
@@ -206,8 +213,19 @@ def test_missing_and_added_parts_are_named(bundle):
 def test_a_manifest_that_is_wrong_is_refused(bundle, change, message):
     manifest = manifest_of(bundle)
     change(manifest)
-    (bundle / "manifest.json").write_text(json.dumps(manifest))
+    rewrite(bundle, manifest)
     with pytest.raises(BundleError, match=message):
+        verify_bundle(bundle)
+
+
+def test_a_manifest_with_another_gain_is_refused(bundle):
+    manifest = manifest_of(bundle)
+    manifest["joints"][3]["kp"] += 1
+    (bundle / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(BundleError, match=r"manifest\.json: altered"):
+        verify_bundle(bundle)
+    (bundle / "manifest.sha256").unlink()
+    with pytest.raises(BundleError, match=r"manifest\.sha256: missing"):
         verify_bundle(bundle)
 
 
@@ -225,7 +243,7 @@ def test_a_network_that_is_not_the_one_recorded_is_found_out(bundle):
     np.savez(bundle / "golden.npz", **trace)
     manifest = manifest_of(bundle)
     manifest["files"]["golden.npz"] = hashlib.sha256((bundle / "golden.npz").read_bytes()).hexdigest()
-    (bundle / "manifest.json").write_text(json.dumps(manifest))
+    rewrite(bundle, manifest)
     with pytest.raises(BundleError, match=r"policy\.onnx: differs from the golden trace by 1\.00e-03"):
         verify_bundle(bundle)
 

@@ -29,7 +29,7 @@ from distill import (
 )
 from distill.inspection import print_bundle
 from distill.leapp import write_leapp
-from distill.manifest import check_schema
+from distill.manifest import check_schema, checksum_line
 from distill.networks import mlp
 from distill.spec import HEADINGS
 from distill.vision import Convolution
@@ -86,6 +86,12 @@ def bundle(exported: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(exported, tmp_path / "bundle"))
 
 
+def rewrite(folder: Path, manifest: dict) -> None:
+    """A manifest whose own checksum is right."""
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    (folder / "manifest.sha256").write_text(checksum_line(folder / "manifest.json"))
+
+
 def manifest_of(folder: Path) -> dict:
     return json.loads((folder / "manifest.json").read_text())
 
@@ -95,8 +101,10 @@ def session(path: Path) -> onnxruntime.InferenceSession:
 
 
 def test_the_folder_holds_two_networks_that_stand_alone(bundle):
-    names = {"policy.onnx", "policy.ts.pt", "depth_encoder.onnx", "depth_encoder.ts.pt", "golden.npz"}
-    assert {path.name for path in bundle.iterdir()} == names | {"robot.urdf", "robot.xml", "scene.xml", "manifest.json"}
+    networks = {"policy.onnx", "policy.ts.pt", "depth_encoder.onnx", "depth_encoder.ts.pt"}
+    body = {"robot.urdf", "robot.xml", "scene.xml"}
+    manifest = {"manifest.json", "manifest.sha256"}
+    assert {path.name for path in bundle.iterdir()} == networks | body | manifest | {"golden.npz"}
     for name in ("policy.onnx", "depth_encoder.onnx"):
         model = onnx.load(bundle / name)
         onnx.checker.check_model(model, full_check=True)
@@ -221,7 +229,7 @@ def test_verification_replays_both_networks_and_names_a_changed_file(bundle):
 def test_a_manifest_that_is_wrong_is_refused(bundle, change, message):
     manifest = manifest_of(bundle)
     change(manifest)
-    (bundle / "manifest.json").write_text(json.dumps(manifest))
+    rewrite(bundle, manifest)
     with pytest.raises(BundleError, match=message):
         verify_bundle(bundle)
 

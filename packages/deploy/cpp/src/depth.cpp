@@ -10,6 +10,7 @@ namespace legged {
 namespace {
 
 constexpr double kBlindShare = 0.05;  // of the image that a camera may miss
+constexpr double kLeastMeasured = 0.1;  // share of the image, as LEAST_MEASURED of preprocess.py
 constexpr double kTie = 1e-6;         // px, so that rounding does not choose between two pixels
 
 // Where the pixels of one axis of the image lie in the frame: the pixel under the ray, and the footprint.
@@ -73,13 +74,18 @@ float sample(const DepthFrame& frame, const Span& row, const Span& column) {
   return best;
 }
 
-std::string fault_of(const std::vector<float>& metres) {
-  if (std::any_of(metres.begin(), metres.end(), is_measured)) return "";
+std::string fault_of(const std::vector<float>& metres, double measured) {
+  if (measured >= kLeastMeasured) return "";
   if (std::all_of(metres.begin(), metres.end(), [](float depth) { return std::isnan(depth); }))
     return "depth: every pixel is NaN, the camera measures nothing; check its driver and its projector";
   if (std::all_of(metres.begin(), metres.end(), [](float depth) { return depth == 0.0f; }))
     return "depth: every pixel is 0, as from a covered lens or a stalled stream; check the camera";
-  return "depth: no pixel holds a measurement; check the camera";
+  if (measured == 0.0) return "depth: no pixel holds a measurement; check the camera";
+  char words[120];
+  std::snprintf(words, sizeof words,
+                "depth: only %.1f%% of the image is measured, need %.0f%%; check the lens, the light and the distance",
+                measured * 100, kLeastMeasured * 100);
+  return words;
 }
 
 }  // namespace
@@ -96,7 +102,7 @@ DepthReading preprocess(const DepthOptics& optics, const DepthFrame& frame) {
 
   const auto near = static_cast<float>(optics.near), far = static_cast<float>(optics.far);
   const auto range = static_cast<float>(optics.far - optics.near);
-  DepthReading reading{{}, 0.0, fault_of(frame.metres)};
+  DepthReading reading{{}, 0.0, ""};
   long seen = 0, measured = 0;
   for (const Span& row : rows)
     for (const Span& column : columns) {
@@ -114,6 +120,7 @@ DepthReading preprocess(const DepthOptics& optics, const DepthFrame& frame) {
     throw std::runtime_error("depth camera: its field of view misses " + std::to_string(std::lround(blind * 100)) +
                              "% of the image that the policy was trained with; choose a wider stream");
   reading.measured = static_cast<double>(measured) / pixels;
+  reading.fault = fault_of(frame.metres, reading.measured);
   return reading;
 }
 

@@ -10,7 +10,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from distill.manifest import MANIFEST, read_manifest
+from distill.manifest import CHECKSUM, MANIFEST, read_manifest
 from distill.verify import verify_bundle
 
 
@@ -146,7 +146,7 @@ _PURPOSE = {
 
 
 def _files(folder: Path, m: Mapping[str, Any]) -> Table:
-    table = Table("file", "kB", "what it is", title=f"Files; {MANIFEST} holds their hashes")
+    table = Table("file", "kB", "what it is", title=f"Files; {MANIFEST} holds their hashes, {CHECKSUM} its own")
     for name in m["files"]:
         size = (folder / name).stat().st_size / 1000
         table.add_row(name, f"{size:.0f}", _PURPOSE.get(name, ""))

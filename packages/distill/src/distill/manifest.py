@@ -28,6 +28,8 @@ ATOL = 1e-5
 """Largest difference allowed between runtimes, and to the golden trace."""
 
 MANIFEST = "manifest.json"
+CHECKSUM = "manifest.sha256"
+"""Hash of the manifest, as `sha256sum -c` reads it."""
 ONNX, TORCHSCRIPT, GOLDEN = "policy.onnx", "policy.ts.pt", "golden.npz"
 DEPTH_ONNX, DEPTH_TORCHSCRIPT = "depth_encoder.onnx", "depth_encoder.ts.pt"
 TIMING = (
@@ -181,7 +183,7 @@ def _blind_manifest(spec: BundleSpec, history: int, ticks: int, folder: Path) ->
 
 
 def write_manifest(manifest: Manifest, path: Path) -> None:
-    """Check a manifest and write it.
+    """Check a manifest and write it, with its checksum beside it.
 
     Raises:
         BundleError: it does not keep the schema, or holds something that JSON cannot.
@@ -192,6 +194,12 @@ def write_manifest(manifest: Manifest, path: Path) -> None:
         raise BundleError(f"the manifest cannot be written as JSON: {error}") from error
     check_schema(json.loads(text), str(path))
     path.write_text(text + "\n", encoding="utf-8")
+    path.with_name(CHECKSUM).write_text(checksum_line(path), encoding="utf-8")
+
+
+def checksum_line(path: Path) -> str:
+    """What `CHECKSUM` holds for a manifest."""
+    return f"{sha256(path)}  {path.name}\n"
 
 
 def read_manifest(path: Path) -> dict[str, Any]:

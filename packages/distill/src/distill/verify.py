@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from distill.errors import BundleError
-from distill.manifest import MANIFEST, read_manifest, sha256
+from distill.manifest import CHECKSUM, MANIFEST, checksum_line, read_manifest, sha256
 from distill.runtimes import OnnxRuntime, PolicyRuntime, TorchRuntime, load_torchscript, replay
 from distill.vision.runtime import due_ticks, replay_seeing, seeing_runtimes
 
@@ -84,13 +84,18 @@ def _seen(folder: Path, manifest: dict[str, Any], trace: Trace) -> Iterator[tupl
 
 
 def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
+    checksum = folder / CHECKSUM
+    if not checksum.is_file():
+        raise BundleError(f"{checksum}: missing; copy the whole folder or export it again")
+    if checksum.read_bytes() != checksum_line(folder / MANIFEST).encode():
+        raise BundleError(f"{folder / MANIFEST}: altered since the bundle was written ({CHECKSUM} has another hash)")
     robot = manifest["robot"]
     named = {robot["urdf"], robot["mjcf"], robot["scene"], manifest["golden"]["file"]}
     for network in (manifest["policy"], manifest.get("depth", {})):
         named |= {network[key] for key in ("file", "torchscript") if key in network}
     if unlisted := named - set(manifest["files"]):
         raise BundleError(f"{folder / MANIFEST}: gives no hash for {', '.join(sorted(unlisted))}")
-    if added := {path.name for path in folder.iterdir()} - set(manifest["files"]) - {MANIFEST}:
+    if added := {path.name for path in folder.iterdir()} - set(manifest["files"]) - {MANIFEST, CHECKSUM}:
         raise BundleError(f"{folder}: holds {', '.join(sorted(added))}, which {MANIFEST} does not list")
     for name, expected in manifest["files"].items():
         path = folder / name

@@ -19,6 +19,8 @@ from deploy.bundles.manifest import Bundle, build_bundle
 from deploy.errors import BundleError
 
 MANIFEST = "manifest.json"
+CHECKSUM = "manifest.sha256"
+"""Hash of the manifest, as `sha256sum -c` reads it: all other files have theirs in the manifest."""
 
 
 @cache
@@ -46,8 +48,10 @@ def load_bundle(folder: str | Path) -> Bundle:
         raise BundleError(f"{root}: no {MANIFEST} there; give the folder that the export wrote")
     raw = path.read_bytes()
     manifest = _parse(path, raw)
+    sha256 = hashlib.sha256(raw).hexdigest()
+    _verify_manifest(root, sha256)
     _verify_files(root, manifest["files"])
-    bundle = build_bundle(root, hashlib.sha256(raw).hexdigest(), manifest)
+    bundle = build_bundle(root, sha256, manifest)
     _check_consistency(path, bundle, manifest)
     return bundle
 
@@ -76,8 +80,24 @@ def _parse(path: Path, raw: bytes) -> dict[str, Any]:
     return manifest
 
 
+def checksum_line(sha256: str) -> str:
+    """What `CHECKSUM` holds for a manifest of this hash."""
+    return f"{sha256}  {MANIFEST}\n"
+
+
+def _verify_manifest(root: Path, sha256: str) -> None:
+    path = root / CHECKSUM
+    if not path.is_file():
+        raise BundleError(f"{path}: file is missing from the bundle; copy the whole folder or export it again")
+    if path.read_bytes() != checksum_line(sha256).encode():
+        raise BundleError(
+            f"{root / MANIFEST}: content has changed since the export (SHA-256 differs from {CHECKSUM}); "
+            "copy the bundle again or export it again"
+        )
+
+
 def _verify_files(root: Path, hashes: Mapping[str, str]) -> None:
-    present = {entry.name for entry in root.iterdir()} - {MANIFEST}
+    present = {entry.name for entry in root.iterdir()} - {MANIFEST, CHECKSUM}
     if missing := sorted(set(hashes) - present):
         raise BundleError(f"{root / missing[0]}: file is missing from the bundle; copy the whole folder again")
     if extra := sorted(present - set(hashes)):

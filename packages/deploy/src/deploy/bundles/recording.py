@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.bundles.golden import check_golden, golden_states
-from deploy.bundles.loading import MANIFEST, load_bundle
+from deploy.bundles.loading import CHECKSUM, MANIFEST, checksum_line, load_bundle
 from deploy.bundles.manifest import Bundle
 from deploy.control.binding import JointBinding
 from deploy.errors import BundleError, LogError
@@ -60,7 +60,9 @@ def record_golden(log: str | Path, bundle: Bundle, out: str | Path, ticks: int =
         golden = (copy / bundle.golden.file).read_bytes()
         manifest["files"][bundle.golden.file] = hashlib.sha256(golden).hexdigest()
         manifest["golden"]["ticks"] = len(trace["reset"])
-        (copy / MANIFEST).write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
+        text = json.dumps(manifest, indent=2) + "\n"
+        (copy / MANIFEST).write_text(text, encoding="utf-8")
+        (copy / CHECKSUM).write_text(checksum_line(hashlib.sha256(text.encode()).hexdigest()), encoding="utf-8")
         made = load_bundle(copy)
         check_golden(made, OnnxRuntime(made))
         copy.rename(target)

@@ -16,6 +16,8 @@ from deploy.errors import RobotError
 from deploy.interfaces import DepthFrame, Intrinsics
 
 Image = NDArray[np.float32]
+LEAST_MEASURED = 0.1
+"""Share of the image that a frame must have measured; below it a policy would walk by what it imagines."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class DepthReading:
     Attributes:
         image: Shape (rows, columns), from -0.5 (near) to 0.5 (far, or no measurement).
         measured: Share of the image's pixels with a measurement, filled holes included.
-        fault: Why the frame shows nothing at all, None for a frame that can be used.
+        fault: Why the frame shows nothing, or less than `LEAST_MEASURED`; None for a frame that can be used.
     """
 
     image: Image
@@ -52,7 +54,7 @@ class DepthPreprocessor:
             frame: Depths in m; 0, NaN and negative numbers are pixels without a measurement, inf is out of sight.
 
         Returns:
-            The image, how much of it was measured, and whether it shows nothing.
+            The image, how much of it was measured, and whether that is too little.
 
         Raises:
             RobotError: The frame is no image, or its field of view is not that of the policy's camera.
@@ -74,7 +76,8 @@ class DepthPreprocessor:
         depth = np.where(filled, depth, np.float32(optics.far))
         image = (np.clip(depth, optics.near, optics.far) - optics.near) / (optics.far - optics.near) - 0.5
         image = image.astype(np.float32, copy=False).reshape(optics.rows, optics.columns)
-        return DepthReading(image, float(filled.mean()), _fault(depths))
+        measured = float(filled.mean())
+        return DepthReading(image, measured, _fault(depths, measured))
 
     def _prepare(self, frame: DepthFrame) -> None:
         shape = frame.image_m.shape
@@ -95,14 +98,19 @@ def _is_measured(depth: Image) -> NDArray[np.bool_]:
     return (depth > 0.0) | np.isneginf(depth)
 
 
-def _fault(depths: Image) -> str | None:
-    if _is_measured(depths).any():
+def _fault(depths: Image, measured: float) -> str | None:
+    if measured >= LEAST_MEASURED:
         return None
     if np.isnan(depths).all():
         return "depth: every pixel is NaN, the camera measures nothing; check its driver and its projector"
     if not depths.any():
         return "depth: every pixel is 0, as from a covered lens or a stalled stream; check the camera"
-    return "depth: no pixel holds a measurement; check the camera"
+    if not measured:
+        return "depth: no pixel holds a measurement; check the camera"
+    return (
+        f"depth: only {measured:.1%} of the image is measured, need {LEAST_MEASURED:.0%}; "
+        "check the lens, the light and the distance"
+    )
 
 
 def _candidates(pixels: PixelMap, width: int) -> NDArray[np.intp]:
