@@ -38,9 +38,9 @@ real-robots-files: install
 	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/morphgen[real-robots]
 	$(BIN)/python tools/real_robots.py
 
-# cameras and robots over DDS, and the vendor's message definitions; the C++ runner's test takes cmake from the system
+# cameras and robots over DDS, the vendor's message definitions, and what builds the C++ runner but the compiler
 robot-drivers: install
-	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/deploy[realsense,test-unitree]
+	$(BIN)/pip install --quiet --constraint constraints.txt -e packages/deploy[realsense,test-cpp,test-unitree]
 
 # Ray and submitit, for trials on many machines
 clusters: install

@@ -8,6 +8,7 @@ is an order; every order is answered with a line of JSON:
     freeze          the last state again and again
     mute            no state any more
     nan             the angle of motor 3 is not a number
+    work            motor 2 turns with 3 rad/s against 4 N m, motor 5 is turned back by 6 N m; no other moves
     buttons         L2 and B of the remote control are held
     quit
 """
@@ -87,7 +88,12 @@ def main():
             received += 1
             wrong += command.crc != crc.Crc(command)
             last = command
-        if last is not None:
+        if mode == "work":
+            for i in range(12):
+                state.motor_state[i].dq, state.motor_state[i].tau_est = {2: (3.0, 4.0), 5: (-2.0, 6.0)}.get(
+                    i, (0.0, 0.0)
+                )
+        elif last is not None:
             for motor, order in zip(state.motor_state[:12], last.motor_cmd, strict=False):
                 torque = order.kp * (order.q - motor.q) + order.kd * (order.dq - motor.dq) + order.tau
                 motor.dq += torque * PERIOD

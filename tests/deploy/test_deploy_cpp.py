@@ -3,8 +3,10 @@
 import io
 import json
 import math
+import os
 import shutil
 import subprocess
+import sysconfig
 import warnings
 from pathlib import Path
 
@@ -19,8 +21,10 @@ from deploy_seeing import weights
 from onnx import numpy_helper
 
 torch = pytest.importorskip("torch", reason="the C++ runner is built against the torch wheel: pip install torch")
-if shutil.which("cmake") is None:
-    pytest.skip("the C++ runner is built with cmake, which is missing", allow_module_level=True)
+PATH = os.pathsep.join((sysconfig.get_path("scripts"), os.environ.get("PATH", "")))
+CMAKE, NINJA = shutil.which("cmake", path=PATH), shutil.which("ninja", path=PATH)
+if CMAKE is None:
+    pytest.skip("the C++ runner is built with cmake: pip install 'legged-deploy[test-cpp]'", allow_module_level=True)
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(2400)]
 SOURCE = Path(__file__).parents[2] / "packages" / "deploy" / "cpp"
@@ -30,10 +34,10 @@ SOURCE = Path(__file__).parents[2] / "packages" / "deploy" / "cpp"
 def runner(tmp_path_factory):
     """Runs the built runner; gives status, output and errors."""
     build = tmp_path_factory.mktemp("cpp")
-    generator = ["-G", "Ninja"] if shutil.which("ninja") else []
+    generator = ["-G", "Ninja", f"-DCMAKE_MAKE_PROGRAM={NINJA}"] if NINJA else []
     prefix = f"-DCMAKE_PREFIX_PATH={torch.utils.cmake_prefix_path}"
     for command in (["-S", SOURCE, "-B", build, *generator, prefix], ["--build", build]):
-        done = subprocess.run(["cmake", *map(str, command)], capture_output=True, text=True)
+        done = subprocess.run([CMAKE, *map(str, command)], capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
 
     def run(*words):
@@ -157,6 +161,49 @@ def every_source(folder, pack) -> None:
     folder.files["policy.ts.pt"] = torchscript(Linear(), (54,))
     folder.files["golden.npz"] = pack(trace)
     assert np.abs(trace["action"]).max() > 0.5
+
+
+def without_ticks(folder, pack):
+    with np.load(io.BytesIO(folder.files["golden.npz"])) as file:
+        folder.files["golden.npz"] = pack({name: values[:-2] for name, values in file.items()})
+    return "golden trace: has 22 ticks, manifest.json says 24"
+
+
+def without_contacts(folder, pack):
+    every_source(folder, pack)
+    with np.load(io.BytesIO(folder.files["golden.npz"])) as file:
+        folder.files["golden.npz"] = pack({name: values for name, values in file.items() if name != "contact"})
+    return "the policy feels its feet, the state has no contacts"
+
+
+def with_a_nan_reading(folder, pack):
+    with np.load(io.BytesIO(folder.files["golden.npz"])) as file:
+        trace = dict(file)
+    trace["gyro"][7, 1] = np.nan
+    folder.files["golden.npz"] = pack(trace)
+    return "observation: base_angular_velocity is not finite"
+
+
+def with_a_nan_action(folder, pack):
+    trot = Trot(folder.files["policy.onnx"], sees=False)
+    trot.c["amplitude"].flatten()[3] = float("nan")
+    folder.files["policy.ts.pt"] = torchscript(trot, (45,), (1,), (45,))
+    return "is not finite; damp the robot"
+
+
+@pytest.mark.parametrize("spoil", [without_ticks, without_contacts, with_a_nan_reading, with_a_nan_action])
+def test_what_must_not_reach_a_motor_ends_the_run(runner, folder, pack, spoil):
+    add_torchscript(folder)
+    words = spoil(folder, pack)
+    done = runner(folder.seal(), "--golden")
+    assert done.returncode == 1
+    assert words in done.stderr
+
+
+def test_a_golden_trace_that_proves_nothing_is_refused(runner, folder):
+    folder.manifest["golden"]["atol"] = 1.0
+    done = runner(add_torchscript(folder).seal(), "--golden")
+    assert (done.returncode, "an atol of up to 0.001" in done.stderr) == (1, True)
 
 
 def compressed(trace) -> bytes:

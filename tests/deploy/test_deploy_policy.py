@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import onnx
 import pytest
-from deploy import BundleError, OnnxRuntime, load_bundle
+from deploy import BundleError, OnnxRuntime, RobotError, check_golden, load_bundle
 from deploy.interfaces import RobotState
 from deploy.policy.observation import ObservationBuilder, projected_gravity, rotate_inverse
 from deploy.policy.tick import Policy
@@ -71,6 +71,21 @@ def test_attitude_and_speed_are_terms_too(folder, golden):
     state = replace(state_of(golden, 0), quat_wxyz=quat)
     obs = ObservationBuilder(bundle).build(state, np.array([0.7, 0.1, 0.3]), np.zeros(12))
     np.testing.assert_allclose(obs[:3], [2 * 0.2, 2 * -0.3, 2 * 0.7], atol=1e-6)
+
+
+def test_a_policy_that_feels_its_feet_takes_no_reading_without_them(folder, golden):
+    term = folder.manifest["observation"]["terms"][0]
+    term |= {"name": "feet", "source": "foot_contact", "size": 4, "scale": 2.0}
+    folder.manifest["policy"]["inputs"]["obs"] = [1, 46]
+    bundle = load_bundle(folder.seal())
+    build, state = ObservationBuilder(bundle).build, state_of(golden, 0)
+    feet = np.array([True, False, True, False])
+    obs = build(replace(state, contact=feet), np.zeros(3), np.zeros(12))
+    assert obs[:4].tolist() == [1.0, -1.0, 1.0, -1.0]
+    with pytest.raises(RobotError, match="without foot contacts"):
+        build(replace(state, contact=None), np.zeros(3), np.zeros(12))
+    with pytest.raises(BundleError, match=r"golden\.npz: not a golden trace .*contact"):
+        check_golden(bundle, None)
 
 
 def test_recurrent_state_is_fed_back_and_reset(bundle_dir, golden):

@@ -199,6 +199,24 @@ def test_a_robot_from_start_to_stop(graph, robot):
             call()
 
 
+def test_work_is_counted_message_by_message(graph, robot):
+    """10 ms, 30 ms and a broken message; power 2 * 3 + max(-1 * 5, 0) + 4 * 1 = 10 W."""
+    robot.start()
+    assert robot.energy() is None
+    begin = int(robot.read().stamp_ns)
+    for after_ms in (10, 40, 50):
+        message = joint_state(begin + after_ms * 1_000_000)
+        message.velocity, message.effort = np.array([4.0, 9.0, 2.0, -1.0]), np.array([1.0, 9.0, 3.0, 5.0])
+        if after_ms == 50:
+            message.effort = np.array([])
+        graph.send("/joint_states", message)
+    found = robot.energy()
+    assert found.states == 2
+    np.testing.assert_allclose(found.joint_energy_pos_j, [0.24, 0.0, 0.16], rtol=1e-3)
+    assert found.peak_pos_w == pytest.approx(10.0)
+    assert robot.energy().peak_pos_w == 0.0
+
+
 def test_another_publisher_is_noticed_and_refused(graph, robot):
     robot.start()
     robot.read()

@@ -332,6 +332,46 @@ def test_a_state_that_freezes_stops_or_is_spoilt_is_seen(stand_in, robot):
 
 
 @pytest.mark.slow
+def test_work_is_counted_at_the_rate_of_the_states(stand_in, robot):
+    """12 W of motor 2, and what motor 5 takes in counts nothing."""
+    go2, ours = stand_in("--no-switcher"), robot()
+    assert ours.energy() is None
+    ours.start()
+    until(lambda: ours.energy() is not None)
+    go2("work")
+    time.sleep(0.2)
+    first, begin = ours.energy(), ours.read().stamp_ns
+    time.sleep(1.0)
+    second, end = ours.energy(), ours.read().stamp_ns
+    spent = second.joint_energy_pos_j - first.joint_energy_pos_j
+    assert spent[2] == pytest.approx(12.0 * (end - begin) * 1e-9, rel=0.1)
+    assert np.flatnonzero(spent).tolist() == [2]
+    assert second.states - first.states > 100  # far more than ticks of a policy
+    assert second.peak_pos_w == pytest.approx(12.0)
+    counter = ours._energy._process
+    counter.kill()
+    until(lambda: ours.energy() is None)
+    ours.stop()
+    assert ours.energy() is None
+
+
+@pytest.mark.slow
+def test_a_counter_of_energy_ends_with_its_reader(stand_in, domain):
+    stand_in("--no-switcher")
+    code = (
+        "import os, sys, time\n"
+        "from deploy.robots.unitree.energy import EnergyProcess\n"
+        "counter = EnergyProcess(int(sys.argv[1]), 'lo')\n"
+        "while counter.read() is None: time.sleep(0.01)\n"
+        "print(counter._process.pid, flush=True)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(domain)], capture_output=True, text=True, timeout=60)
+    assert done.returncode == -9
+    until(lambda: not Path(f"/proc/{done.stdout.strip()}").exists())
+
+
+@pytest.mark.slow
 def test_another_publisher_is_noticed_and_refused(vendor, domain, stand_in, robot):
     go, _, _ = vendor
     stand_in("--no-switcher")

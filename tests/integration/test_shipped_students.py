@@ -10,6 +10,7 @@ import deploy
 import pytest
 from distill import load_student, load_vision_student, verify_bundle
 from locorl import load_policy
+from rosbags.highlevel import AnyReader
 
 from legged_codesign.pretrained import shipped_bundle
 
@@ -57,10 +58,18 @@ def recorded(name: str) -> tuple[dict[str, Any], list[dict[str, float]]]:
 
 
 @pytest.mark.parametrize(("name", "speed"), [("go2-blind", 0.5), ("lite3-depth", 0.95)])
-def test_it_walks(name: str, speed: float, tmp_path: Path) -> None:
-    summary = deploy.run(shipped_bundle(name), (speed, 0.0, 0.0), 8.0, log=tmp_path / "walk.mcap")
+def test_it_walks_and_its_log_is_replayed_to_the_bit(name: str, speed: float, tmp_path: Path) -> None:
+    log = tmp_path / "walk.mcap"
+    summary = deploy.run(shipped_bundle(name), (speed, 0.0, 0.0), 8.0, log=log)
     assert summary.completed, summary.reason
     assert summary.distance_m > 0.8 * speed * 8.0
+    bundle = deploy.load_bundle(shipped_bundle(name))
+    result = deploy.replay(log, bundle, deploy.OnnxRuntime(bundle))
+    assert result.ticks >= 400
+    assert result.first is None
+    with AnyReader([log]) as reader:
+        messages = {connection.topic: connection.msgcount for connection in reader.connections}
+    assert messages["/policy/action"] == result.ticks
 
 
 def test_an_unknown_student_names_what_ships() -> None:

@@ -63,7 +63,10 @@ Bundle build(const std::string& root, const Json& manifest) {
   bundle.policy = graph(manifest["policy"]);
   if (manifest.has("depth")) bundle.depth = depth(manifest["depth"]);
   bundle.golden = manifest["golden"]["file"].string();
+  bundle.golden_ticks = manifest["golden"]["ticks"].integer();
   bundle.golden_atol = manifest["golden"]["atol"].number();
+  if (bundle.golden_ticks < 1 || !(bundle.golden_atol > 0 && bundle.golden_atol <= 1e-3))
+    throw std::runtime_error("\"golden\" needs a tick at least and an atol of up to 0.001");
   return bundle;
 }
 

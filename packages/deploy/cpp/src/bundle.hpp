@@ -66,6 +66,7 @@ struct Bundle {
   Graph policy;
   std::optional<Depth> depth;
   std::string golden;
+  long golden_ticks;
   double golden_atol;
 
   // Throws std::runtime_error that names the file and the element. The schema and the hashes of the files are

@@ -22,6 +22,8 @@ Values source(const std::string& name, const Bundle& bundle, const RobotState& s
     return error;
   }
   if (name == "foot_contact") {
+    if (state.contact.size() != bundle.feet.size())
+      throw std::runtime_error("observation: the policy feels its feet, the state has no contacts");
     Values contact(bundle.feet.size(), -0.5);
     for (std::size_t foot = 0; foot < state.contact.size(); ++foot) contact[foot] += state.contact[foot];
     return contact;
@@ -53,7 +55,11 @@ std::vector<float> observe(const Bundle& bundle, const RobotState& state, const 
     const Values raw = source(term.source, bundle, state, last_action);
     if (raw.size() != term.scale.size())
       throw std::runtime_error("observation: " + term.source + " has another size than in the manifest");
-    for (std::size_t i = 0; i < raw.size(); ++i) obs.push_back(static_cast<float>(term.scale[i] * raw[i]));
+    for (std::size_t i = 0; i < raw.size(); ++i) {
+      obs.push_back(static_cast<float>(term.scale[i] * raw[i]));
+      if (!std::isfinite(obs.back()))
+        throw std::runtime_error("observation: " + term.source + " is not finite; damp the robot and check its sensors");
+    }
   }
   return obs;
 }

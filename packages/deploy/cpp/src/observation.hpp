@@ -14,14 +14,14 @@ struct RobotState {
   std::array<double, 4> quat_wxyz;      // orientation of the base in the world
   std::array<double, 3> gyro;           // base frame, rad/s
   std::array<double, 3> command;        // vx, vy, yaw rate; base frame, m/s and rad/s
-  std::vector<bool> contact;            // feet on the ground; empty: unknown, read as none
+  std::vector<bool> contact;            // feet on the ground; empty: unknown
 };
 
 // World down seen from the base, a unit vector.
 std::array<double, 3> projected_gravity(const std::array<double, 4>& quat_wxyz);
 
 // `last_action` is the previous action after clipping, zeros at the start. Throws std::runtime_error for a term that
-// this runner does not know, or a state of the wrong size.
+// this runner does not know, for a state of the wrong size, without the contacts that the policy reads, or not finite.
 std::vector<float> observe(const Bundle& bundle, const RobotState& state, const std::vector<double>& last_action);
 
 }  // namespace legged

@@ -1,6 +1,7 @@
 #include "policy.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <stdexcept>
 #include <utility>
 
@@ -34,6 +35,9 @@ void Policy::reset() {
 void Policy::see(const std::vector<float>& image, const std::vector<float>& obs) {
   if (image_due()) {
     auto outputs = depth_->run({{"depth", image}, {"obs", obs}});
+    for (const char* name : {"terrain", "heading"})
+      for (const float value : outputs[name])
+        if (!std::isfinite(value)) throw std::runtime_error(std::string("depth encoder: ") + name + " is not finite");
     const long from = tick_ + bundle_.depth->latency_ticks;
     under_way_.push_back({from, std::move(outputs["terrain"]), std::move(outputs["heading"])});
   }
@@ -58,6 +62,8 @@ PolicyStep Policy::step(const RobotState& state, const std::vector<float>& image
   if (step.action.size() != bundle_.joints.size()) throw std::runtime_error("policy: not one action per joint");
   for (std::size_t j = 0; j < step.action.size(); ++j) {
     const double action = step.action[j];
+    if (!std::isfinite(action))
+      throw std::runtime_error("policy: the action of " + bundle_.joints[j].name + " is not finite; damp the robot");
     last_action_[j] =
         bundle_.action_clip ? std::clamp(action, -*bundle_.action_clip, *bundle_.action_clip) : action;
     step.target.push_back(bundle_.joints[j].target_offset + bundle_.action_scale * last_action_[j]);

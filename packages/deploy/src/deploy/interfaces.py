@@ -269,13 +269,18 @@ class EnergyReading:
 
 
 @runtime_checkable
-class Simulated(Protocol):
+class Metered(Protocol):
+    """A robot that counts the work of its joints at the rate of its states."""
+
+    def energy(self) -> EnergyReading | None:
+        """What it counted so far, joints in its own order; reading restarts the peak. None: it cannot tell any more."""
+        ...
+
+
+@runtime_checkable
+class Simulated(Metered, Protocol):
     """A robot that can also be measured from outside."""
 
     def truth(self) -> GroundTruth:
         """Pose and velocity of the base, exact."""
-        ...
-
-    def energy(self) -> EnergyReading:
-        """Energy counted at every physics step; reading it restarts the peak."""
         ...

@@ -21,7 +21,7 @@ from deploy.control.operator import Interrupts, Operator, Unattended
 from deploy.control.schedule import Schedule
 from deploy.control.watchdog import Watchdog
 from deploy.errors import DeployError, RobotError
-from deploy.interfaces import PolicyRuntime, RobotInterface, Simulated
+from deploy.interfaces import Metered, PolicyRuntime, RobotInterface, Simulated
 from deploy.logs.messages import Sample
 from deploy.logs.metadata import RunInfo
 from deploy.logs.reading import read_log
@@ -201,6 +201,7 @@ def _loop(
 ) -> None:
     """Tick until damped; the damped tick is recorded too, it closes the last period."""
     simulated = robot if isinstance(robot, Simulated) else None
+    metered = robot if isinstance(robot, Metered) else None
     command = np.array(info.command)
     remaining = round(info.duration_s * info.policy_hz)
     fallen_below = FALLEN_SHARE * simulated.truth().height_over_feet if simulated else 0.0
@@ -216,7 +217,7 @@ def _loop(
             sample = Sample(
                 tick,
                 truth=simulated.truth() if simulated else None,
-                energy=binding.energy(simulated.energy()) if simulated else None,
+                energy=None if metered is None else binding.energy(metered.energy()),
             )
             if writer is not None:
                 writer.write(sample)

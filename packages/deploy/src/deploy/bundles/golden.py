@@ -108,7 +108,7 @@ def _load(bundle: Bundle) -> Trace:
         shapes |= {name: (ticks, *depth.graph.outputs[name][1:]) for name in ("terrain", "heading")}
     try:
         with np.load(path, allow_pickle=False) as archive:
-            shapes |= {name: shape for name, shape in optional.items() if name in archive}
+            shapes |= {name: shape for name, shape in optional.items() if bundle.feels_feet or name in archive}
             if depth:
                 count = int(archive["depth_due"].sum())
                 shapes["depth"] = (count, depth.optics.rows, depth.optics.columns)

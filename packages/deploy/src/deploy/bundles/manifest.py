@@ -185,6 +185,11 @@ class Bundle:
         """Length P of the observation."""
         return sum(term.size for term in self.terms)
 
+    @property
+    def feels_feet(self) -> bool:
+        """Whether the policy reads which feet touch the ground."""
+        return any(term.source == "foot_contact" for term in self.terms)
+
     def per_joint(
         self, field: Literal["stance", "target_offset", "kp", "kd", "torque_limit", "lower", "upper"]
     ) -> NDArray[np.float64]:

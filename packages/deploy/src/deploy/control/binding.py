@@ -55,8 +55,10 @@ class JointBinding:
         contact = None if state.contact is None else state.contact[self._feet]
         return replace(state, q=state.q[order], dq=state.dq[order], tau=state.tau[order], contact=contact)
 
-    def energy(self, reading: EnergyReading) -> EnergyReading:
+    def energy(self, reading: EnergyReading | None) -> EnergyReading | None:
         """The reading with its joint array in policy order."""
+        if reading is None:
+            return None
         return replace(reading, joint_energy_pos_j=reading.joint_energy_pos_j[self._to_policy])
 
     def command(self, command: JointCommand) -> JointCommand:

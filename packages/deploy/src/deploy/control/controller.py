@@ -51,7 +51,7 @@ class Controller:
         config = config or ControllerConfig()
         self._robot = robot
         self._binding = JointBinding.of(bundle, robot.spec)
-        if robot.spec.feet is None and any(term.source == "foot_contact" for term in bundle.terms):
+        if robot.spec.feet is None and bundle.feels_feet:
             raise RobotError(
                 f"{robot.spec.name}: it does not feel its feet, {bundle.name} reads them; train it without"
             )

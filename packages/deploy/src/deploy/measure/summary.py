@@ -53,7 +53,7 @@ class RunSummary:
         yaw_rate_error: The same for the yaw rate, rad/s.
         eq10_w_ticks: Paper eq. 10 as printed, from velocity and torque at the policy rate, W times ticks.
         energy_j_50hz: The same in joules: |eq. 10| times the policy period.
-        energy_j_physics: Positive mechanical energy summed at every physics step, J.
+        energy_j_physics: Positive mechanical energy summed at every physics step, or state of a robot of metal, J.
         cost_of_transport: Energy over m g distance; from the physics steps if known, else the policy rate.
         mean_power_w: Positive mechanical power, mean, W.
         peak_power_w: Positive mechanical power, largest; at physics steps if known.

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.bundles.manifest import Bundle
+from deploy.errors import RobotError
 from deploy.interfaces import Array, RobotState
 
 
@@ -32,6 +33,7 @@ class ObservationBuilder:
         self._scale = np.concatenate([np.array(term.scale) for term in bundle.terms])
         self._stance = bundle.per_joint("stance")
         self._feet = len(bundle.robot.feet)
+        self._feels_feet = bundle.feels_feet
 
     def build(self, state: RobotState, command: Array, last_action: Array) -> NDArray[np.float32]:
         """The observation, shape (P,).
@@ -40,7 +42,12 @@ class ObservationBuilder:
             state: Robot state with its joints and feet in policy order.
             command: (vx, vy, yaw_rate), base frame, m/s and rad/s.
             last_action: Previous action after clipping, shape (12,); zeros at the start.
+
+        Raises:
+            RobotError: The policy reads contacts, and the state has none.
         """
+        if self._feels_feet and state.contact is None:
+            raise RobotError("a reading without foot contacts, which the policy reads; check the feet's sensors")
         gravity = projected_gravity(state.quat_wxyz)
         contact = np.zeros(self._feet) if state.contact is None else state.contact
         unknown = np.zeros(1)  # a seeing policy predicts its headings and reads zeros

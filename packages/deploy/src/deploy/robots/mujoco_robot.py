@@ -21,6 +21,7 @@ from deploy.interfaces import (
 )
 from deploy.policy.observation import rotate_inverse
 from deploy.robots.disturbances import Disturbances, StateDisturber, disturbed_image
+from deploy.robots.energy_meter import EnergyMeter
 from deploy.robots.mujoco_camera import MujocoCamera
 from deploy.robots.mujoco_scene import load_scene
 
@@ -73,8 +74,7 @@ class MujocoRobot:
         )
         self._step_ns = self._model.opt.timestep * 1e9
         self._steps = 0
-        self._energy_pos = np.zeros(len(self._joints.names))
-        self._peak_pos = 0.0
+        self._meter = EnergyMeter(len(self._joints.names))
         self._commands: deque[tuple[int, JointCommand]] = deque()
         self._period_ns = bundle.period_ns
         self._camera = None if bundle.depth is None else MujocoCamera(self._model, bundle.depth)
@@ -136,9 +136,7 @@ class MujocoRobot:
             velocity = self._data.qvel[self._joints.dof].copy()
             mujoco.mj_step(self._model, self._data)
             # mj_step leaves the forces that acted at its start: they pair with the velocity from before it.
-            power = np.maximum(self._data.qfrc_actuator[self._joints.dof] * velocity, 0.0)
-            self._energy_pos += power * self._model.opt.timestep
-            self._peak_pos = max(self._peak_pos, float(power.sum()))
+            self._meter.add(velocity, self._data.qfrc_actuator[self._joints.dof], self._model.opt.timestep)
             self._steps += 1
             self._remember()
         if steps > 0:
@@ -226,6 +224,4 @@ class MujocoRobot:
 
     def energy(self) -> EnergyReading:
         """Positive work of each joint since construction, and the peak power since the previous call."""
-        reading = EnergyReading(self._energy_pos.copy(), self._peak_pos, self._steps)
-        self._peak_pos = 0.0
-        return reading
+        return self._meter.read()

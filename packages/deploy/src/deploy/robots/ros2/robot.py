@@ -5,14 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from deploy.control.clock import WallClock
 from deploy.depth.sources import DepthSource
 from deploy.errors import RobotError
-from deploy.interfaces import Clock, DepthFrame, JointCommand, RobotSpec, RobotState
-from deploy.robots.ros2.messages import fill_servo, robot_state
+from deploy.interfaces import Clock, DepthFrame, EnergyReading, JointCommand, RobotSpec, RobotState
+from deploy.robots.energy_meter import EnergyMeter
+from deploy.robots.ros2.messages import fill_servo, joint_arrays, robot_state, stamp_ns
 from deploy.robots.ros2.node import Ros2Node, message_type
 
 SERVO = "std_msgs/msg/Float64MultiArray"
@@ -53,6 +55,8 @@ class Ros2Robot:
         self._joints: Any = None
         self._imu: Any = None
         self._count = 0
+        self._counting = threading.Lock()
+        self._meter = EnergyMeter(len(spec.joint_names))
 
     @property
     def spec(self) -> RobotSpec:
@@ -113,6 +117,12 @@ class Ros2Robot:
         """The latest image of the depth camera, None without one."""
         return None if self._depth is None else self._depth.latest()
 
+    def energy(self) -> EnergyReading | None:
+        """Work of the joints, from every `JointState` that the driver sent; the effort must be measured, not asked."""
+        with self._counting:
+            reading = self._meter.read()
+        return reading if reading.states else None
+
     def write(self, command: JointCommand) -> None:
         """Send a command.
 
@@ -138,8 +148,13 @@ class Ros2Robot:
             return True
 
     def _take_joints(self, message: Any) -> None:
-        self._joints = message
+        last, self._joints = self._joints, message
         self._count += 1
+        if last is None:
+            return
+        with suppress(RobotError), self._counting:  # `read` says what is wrong with it
+            _, dq, tau = joint_arrays(message, self._spec.joint_names, self._config.joint_states)
+            self._meter.add(dq, tau, max(stamp_ns(message.header) - stamp_ns(last.header), 0) * 1e-9)
 
     def _take_imu(self, message: Any) -> None:
         self._imu = message

@@ -11,6 +11,7 @@ from deploy.interfaces import JointCommand, RobotSpec, RobotState
 from deploy.robots.unitree.crc import low_cmd_crc
 from deploy.robots.unitree.wire import LowCmd, LowState
 
+COMMANDS, STATES = "rt/lowcmd", "rt/lowstate"
 JOINTS = 12
 HEAD = (0xFE, 0xEF)
 LOW_LEVEL = 0xFF

@@ -15,14 +15,14 @@ from cyclonedds.topic import Topic
 from deploy.control.clock import WallClock
 from deploy.depth.sources import DepthSource
 from deploy.errors import RobotError
-from deploy.interfaces import Clock, DepthFrame, JointCommand, RobotSpec, RobotState
+from deploy.interfaces import Clock, DepthFrame, EnergyReading, JointCommand, RobotSpec, RobotState
 from deploy.robots.specs import GO2
 from deploy.robots.unitree.domain import NEWEST, NEWEST_OF_OTHERS, join
-from deploy.robots.unitree.messages import StampClock, low_cmd, robot_state
+from deploy.robots.unitree.energy import EnergyProcess
+from deploy.robots.unitree.messages import COMMANDS, STATES, StampClock, low_cmd, robot_state
 from deploy.robots.unitree.motion_switcher import MotionSwitcher
 from deploy.robots.unitree.wire import LowCmd, LowState
 
-COMMANDS, STATES = "rt/lowcmd", "rt/lowstate"
 LOOPBACK = "lo"
 """Interface of simulators on this machine, which have no services."""
 _POLL_S = 0.005
@@ -66,6 +66,7 @@ class UnitreeRobot:
         self._states: DataReader | None = None
         self._others: DataReader | None = None
         self._writer: DataWriter | None = None
+        self._energy: EnergyProcess | None = None
         self._newest: LowState | None = None
         self._reads = 0
 
@@ -99,6 +100,7 @@ class UnitreeRobot:
                     f"{self._where()}: no motion_switcher answers, so nobody knows what drives the motors; restart the "
                     "robot, or set release_service=False if it has none and nothing else moves it"
                 )
+        self._energy = EnergyProcess(self._config.domain, self._config.interface)
         self._listen_for_others()
         if self._depth is not None:
             self._depth.start(self._clock)
@@ -113,6 +115,9 @@ class UnitreeRobot:
             self._writer = self._others = self._states = None
         if self._depth is not None:
             self._depth.stop()
+        if self._energy is not None:
+            self._energy.close()
+            self._energy = None
 
     def read(self) -> RobotState:
         """The latest state; its time is that of the robot's own counter.
@@ -139,6 +144,10 @@ class UnitreeRobot:
     def read_depth(self) -> DepthFrame | None:
         """The latest image of the depth camera, None without one."""
         return None if self._depth is None else self._depth.latest()
+
+    def energy(self) -> EnergyReading | None:
+        """Work of the joints since `start`, from every state that the robot sent and its estimates of torque."""
+        return None if self._energy is None else self._energy.read()
 
     def write(self, command: JointCommand) -> None:
         """Send a command, its targets cut to the joint limits of the robot.
