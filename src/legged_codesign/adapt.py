@@ -12,6 +12,7 @@ from locorl import FinetuneConfig, Policy, PPOConfig, RolloutHook, TaskConfig, f
 from locorl.env.observation import observation_layout
 from locorl.interfaces import Array, BodyFactory
 from locorl.learning.networks import ActorCritic
+from locorl.simulation.make import find_device
 
 
 @dataclass(frozen=True)
@@ -43,18 +44,20 @@ class Adaptation:
     Args:
         teacher: the policy to start from.
         config: sizes and schedule.
-        seed: of the networks' weights and of the minibatches.
+        seed: of the networks' weights and of the minibatches; the same weights on every device.
+        device: where the rollouts are.
 
     Attributes:
         networks: estimator and history encoder.
         hooks: give them to a `Trainer` or to `finetune`.
     """
 
-    def __init__(self, teacher: Policy, config: AdaptConfig, seed: int) -> None:
+    def __init__(self, teacher: Policy, config: AdaptConfig, seed: int, device: torch.device | str = "cpu") -> None:
+        proprio = teacher.card.dims["proprio"]
         blank = heading_columns(teacher.card.task, len(teacher.card.design_names))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.networks = distill.build_adaptation(teacher.card.dims["proprio"], teacher, config.networks, blank)
+            self.networks = distill.build_adaptation(proprio, teacher, config.networks, blank, device)
         self._roa = distill.RegularisedAdaptation(self.networks, config.schedule, seed=seed)
         estimation = distill.VelocityEstimation(self.networks, config.estimate_after, seed=seed)
         self.hooks: Sequence[RolloutHook] = (estimation, self._roa)
@@ -76,9 +79,9 @@ def adapt(
     """Fine-tune `generalist` on the body `design` (d,), or go on with the fine-tune found in `folder`.
 
     Returns:
-        The teacher, and the estimator and history encoder that know what it is told.
+        The teacher, and the estimator and history encoder that know what it is told, on the device of the simulator.
     """
-    adaptation = Adaptation(generalist, config, seed)
+    adaptation = Adaptation(generalist, config, seed, find_device(config.finetune.simulator.here()))
     tuned = finetune(
         generalist,
         factory,

@@ -159,7 +159,8 @@ class StudentRun:
         teacher.save(self.teacher)
         distill.save_adaptation(self.adaptation, networks)
         robots = np.tile(self.design, (max(128, 2 * networks.latent_dim), 1))
-        env = StudentEnv(LeggedEnv(self.factory, robots, teacher.card.task, seed=config.seed))
+        simulator = tuning.finetune.simulator
+        env = StudentEnv(LeggedEnv(self.factory, robots, teacher.card.task, seed=config.seed, simulator=simulator))
         columns = {term.name: env.env.layout.column("implicit", term.name) for term in env.env.layout.implicit}
         known = distill.identify(env, teacher, networks, columns, seed=config.seed)
         told = {name: value for name, value in known.r2.items() if np.isfinite(value)}
@@ -207,9 +208,10 @@ class StudentRun:
         env = self._env(task, protocol.robots_per_body)
         policies: dict[str, MemoryPolicy | distill.Teacher] = {"teacher": teacher}
         if self.config.distil.adapt is not None:
-            networks = distill.load_adaptation(self.adaptation)
+            networks = distill.load_adaptation(self.adaptation, env.device)
             policies["teacher on history latent"] = distill.AdaptedTeacher(teacher, networks)
         policies["student"] = self._policy(teacher, env)
+        teacher.model.to(env.device)  # only its own `act` would take it there
         steps, seed = round(protocol.seconds / env.env.dt), protocol.seed
         if video is not None:
             return evaluate_on_film(env, policies, steps, seed, video, min(_FILMED, env.num_envs - 1))
@@ -232,8 +234,9 @@ class StudentRun:
 
     def _policy(self, teacher: Policy, env: StudentEnv) -> MemoryPolicy:
         if isinstance(env, VisionEnv):
-            return distill.VisionPolicy(distill.load_vision_student(self.student, teacher), env)
-        return distill.StudentPolicy(distill.load_student(self.student, teacher), env.num_envs)
+            return distill.VisionPolicy(distill.load_vision_student(self.student, teacher, env.device), env)
+        student = distill.load_student(self.student, teacher, env.device)
+        return distill.StudentPolicy(student, env.num_envs, env.device)
 
     def _env(self, task: TaskConfig, robots: int) -> StudentEnv:
         """Robots with the chosen body on all tiles, with cameras if the student sees."""

@@ -13,10 +13,24 @@ import numpy as np
 import pytest
 import torch
 from deploy.robots.mujoco_robot import MujocoRobot
-from locorl import EvalConfig, FinetuneConfig, LeggedEnv, PPOConfig, TaskConfig, find_factory, load_policy, make_task
+from distill import checkpoint
+from distill.student import blind_payload, build_student
+from locorl import (
+    EvalConfig,
+    FinetuneConfig,
+    LeggedEnv,
+    Policy,
+    PPOConfig,
+    SimulatorConfig,
+    TaskConfig,
+    find_factory,
+    load_policy,
+    make_task,
+)
+from locorl.env.observation import observation_layout
 from locorl.terrain.map import TerrainMap
 
-from legged_codesign import cli
+from legged_codesign import adapt, cli, student_run
 from legged_codesign.adapt import Adaptation, AdaptConfig, heading_columns
 from legged_codesign.commands import student
 from legged_codesign.config import DistilConfig
@@ -192,3 +206,79 @@ def test_the_same_hooks_learn_on_many_bodies() -> None:
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
     env = LeggedEnv(find_factory("lite3"), np.ones((2, 4)), teacher.card.task, seed=1)
     assert first.proprio == env.group_dims["proprio"]
+
+
+# ---------------------------------------------------------------- a simulator on a GPU
+
+
+GPU = SimulatorConfig("warp", "meta")
+"""A device that refuses to compute with tensors of another, as a GPU does, and is on every machine."""
+
+
+class Robots:
+    """Robots on another device, as far as networks see them."""
+
+    def __init__(self, _: object, designs: np.ndarray, task: TaskConfig, *, simulator: SimulatorConfig, **__: object):
+        self.device, self.dt, self.num_envs = torch.device(simulator.device), 0.02, len(designs)
+        self.group_dims = observation_layout(task.observation, designs.shape[1]).dims
+
+    def observation(self) -> dict[str, torch.Tensor]:
+        return {name: torch.zeros(self.num_envs, width, device=self.device) for name, width in self.group_dims.items()}
+
+
+def test_what_is_compared_acts_where_the_robots_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = StudentRun(replace(TINY, distil=replace(DISTIL, simulator=GPU)), tmp_path)
+    start = load_policy(run.generalist)
+    task = replace(start.card.task, observation=replace(start.card.task.observation, history=ADAPT.past))
+    teacher = Policy(start.model, replace(start.card, task=task))
+    teacher.save(run.teacher)
+    distill.save_adaptation(run.adaptation, Adaptation(teacher, ADAPT, seed=0).networks)
+    network = build_student(teacher.card.dims["proprio"], teacher, run.config.distil.student)
+    checkpoint.save(run.student, blind_payload(network))
+
+    def act_once(env: student_run.StudentEnv, policy: distill.Teacher, *_: object) -> torch.device:
+        action = policy.act(env.env.observation())  # pyright: ignore[reportAttributeAccessIssue]
+        assert action.shape == (6, 12)
+        return action.device
+
+    monkeypatch.setattr(student_run, "LeggedEnv", Robots)
+    monkeypatch.setattr(distill, "evaluate", act_once)
+    names = ("teacher", "teacher on history latent", "student")
+    assert run.scores() == dict.fromkeys(names, torch.device("meta"))
+
+
+def test_what_learns_beside_the_teacher_is_where_the_robots_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the rollouts of the fine-tune, and with the robots that say what the latent knows."""
+    config = replace(ADAPT, finetune=replace(ADAPT.finetune, simulator=GPU))
+    run = StudentRun(replace(TINY, distil=replace(DISTIL, adapt=config)), tmp_path)
+    seen: list[torch.device] = []
+
+    def tune(start: Policy, factory: object, design: np.ndarray, tuning: FinetuneConfig, *_: object, **more: object):
+        observed = replace(start.card.task.observation, history=ADAPT.past)
+        robots = Robots(None, design[None], replace(start.card.task, observation=observed), simulator=tuning.simulator)
+        estimation, _ = more["hooks"]  # pyright: ignore[reportGeneralTypeIssues]
+        estimation.begin(10)
+        seen.append(estimation.observe(robots.observation())["explicit"].device)
+        return Tuned(start)
+
+    def identify(
+        env: student_run.StudentEnv, _: object, networks: distill.AdaptationModule, *__: object, **___: object
+    ):
+        seen.extend((env.device, next(networks.parameters()).device))
+        return distill.Identification({}, 0, 0)
+
+    class Tuned:
+        def __init__(self, policy: Policy) -> None:
+            self.policy = policy
+
+    class Watched(Robots):
+        layout = LeggedEnv(find_factory("go2"), np.ones((1, 4)), TaskConfig()).layout
+
+    monkeypatch.setattr(adapt, "finetune", tune)
+    monkeypatch.setattr(student_run, "LeggedEnv", Watched)
+    monkeypatch.setattr(distill, "identify", identify)
+    monkeypatch.setattr(distill, "save_adaptation", lambda *_: None)  # no data to save there
+    run.adapt()
+    assert seen == [torch.device("meta")] * 3
