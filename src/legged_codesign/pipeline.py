@@ -32,6 +32,7 @@ def run(
     console: Console | None = None,
     machines: Machines | None = None,
     processes: int = 1,
+    retry_failed: bool = False,
 ) -> Files:
     """Do a whole run in `folder`, or what is left of it.
 
@@ -43,12 +44,14 @@ def run(
         console: where to print.
         machines: what the trials of the search run on; by default this process.
         processes: that pre-train together, each on a GPU of its own or its share of the cores.
+        retry_failed: try bodies again that failed in an earlier life of the run.
 
     Returns:
         Where the results are.
 
     Raises:
-        RunError: the folder belongs to another configuration, is in use or cannot be written to.
+        RunError: the folder belongs to another configuration, is in use or cannot be written to; or the machines of
+            the search are not there, or too small.
         LookupError: no installed package knows the robot.
         ValueError: bounds or fixed values do not fit the robot, or the student does not fit the task.
     """
@@ -59,6 +62,8 @@ def run(
     with locked(folder):
         bind(folder, config)
         with log.into(folder):
+            if retry_failed:
+                planned.bodies.retry_failed()
             return planned.go()
 
 
@@ -90,6 +95,9 @@ class _Run:
         prediction = predict(self.config, self.factory, self.machines)
         write_text(self.files.prediction, json.dumps({"seconds": 60 * prediction.minutes}) + "\n")
         self.console.print(f"[bold]{self.files.folder}[/bold]: {prediction}", highlight=False)
+        if self.config.from_scratch and not self.files.generalist.exists():
+            with self.machines.open(self.files.folder):
+                pass  # what the search cannot have is better known before hours of pre-training
         first = self._search_stages()
         last = self._last_stages()
         count = len(first) + self.config.distil.stages + len(last)

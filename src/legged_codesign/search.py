@@ -23,7 +23,7 @@ from legged_codesign.config import RunConfig
 from legged_codesign.machines import Machines
 from legged_codesign.objective import physical, robot_scores
 from legged_codesign.run_folder import Files
-from legged_codesign.stages import RunError, write_text
+from legged_codesign.stages import RunError, forget, write_text
 from legged_codesign.trial import FineTuneAndScore, trial_folder
 
 SCREENING_SEED = 10_007
@@ -146,6 +146,14 @@ class BodySearch:
         write_text(self.files.choice, choice.to_json())
         export_urdf(self.factory, choice.design(self.factory.space.names), self.files.best_urdf)
         self.console.print(f"  {choice.sentence(config.objective)}", highlight=False, soft_wrap=True)
+
+    def retry_failed(self) -> None:
+        """Have failed bodies and confirmation runs done again, whose failure was not theirs."""
+        if not self.files.study.is_file():
+            return
+        forget(self.files.folder, "search", "confirm")  # first: a run killed in between finds nothing to do there
+        with self._study() as study:
+            self.console.print(f"{study.retry_failed()} failed trials and confirmation runs are tried again")
 
     def _feasible(self, designs: Array) -> np.ndarray:
         return feasible(self.factory, designs)

@@ -77,6 +77,12 @@ def run_stages(
         console.print(f"  done in {seconds:.0f} s", highlight=False)
 
 
+def forget(folder: Path, *stages: str) -> None:
+    """Have stages done again, with what they left on disk."""
+    for name in stages:
+        (folder / "stages" / f"{name}.json").unlink(missing_ok=True)
+
+
 def _fingerprint(stage: Stage) -> str:
     digest = hashlib.sha256(json.dumps([stage.name, stage.settings], sort_keys=True).encode())
     for path in stage.inputs:

@@ -5,7 +5,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from codesign_bo import BoxSpace, EvalResult, Study, StudyError
+from codesign_bo import BoxSpace, EvalResult, ExecutorError, Study, StudyError
 from codesign_bo.executors import FuturesExecutor
 from codesign_bo.running.evaluation import evaluate
 
@@ -169,6 +169,17 @@ def test_an_executor_that_raises_loses_an_attempt_not_the_study(study, error):
     assert [t.status for t in trials] == ["ok"] * 3
     (lost,) = [a for a in study.attempts() if a.status == "lost"]
     assert type(error).__name__ in lost.message
+
+
+def test_an_executor_that_is_gone_ends_the_run_and_costs_no_attempt(study):
+    gone = ExecutorError("the cluster is gone")
+    dying = StandIn(slots=2, script=lambda n, r: gone if n >= 2 else None)
+    for _ in range(4):  # more often than a trial may be lost
+        with pytest.raises(ExecutorError, match="the cluster is gone"):
+            study.run(score, until=6, executor=dying)
+    assert "lost" not in {a.status for a in study.attempts()}
+    trials = study.run(score, until=6, executor=StandIn(slots=2))
+    assert [t.status for t in trials] == ["ok"] * 6
 
 
 def test_callbacks_that_raise_what_cannot_be_printed_are_crashes(study):

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import codesign_bo
 import psutil
 import pytest
+from rich.console import Console
+
+from legged_codesign import machines, pipeline
+from legged_codesign.machines import Machines
+from legged_codesign.presets import preset
+from legged_codesign.run_folder import Files
+from legged_codesign.search import BodySearch
+from legged_codesign.stages import RunError
 
 EXECUTORS = ["local", pytest.param("ray", marks=pytest.mark.slow), pytest.param("slurm", marks=pytest.mark.slow)]
 
@@ -78,6 +88,32 @@ def test_a_worker_killed_in_mid_trial_costs_one_attempt(start: Callable, tmp_pat
         assert [(attempt.trial, attempt.attempt) for attempt in attempts if attempt.attempt > 1] == [(0, 2)]
         assert len(attempts) == len(study.trials()) + 1
         assert all(trial.ok for trial in study.trials())
+
+
+def test_failed_bodies_are_tried_again_and_the_others_kept(hand_made, go2) -> None:
+    """With the stages that had ended with them."""
+    hand_made.search(0.3, None, 0.2)
+    hand_made.finish("search", "confirm")
+    config = preset("laptop")
+    config = replace(config, search=replace(config.search, initial=20))
+    screen = Console(file=io.StringIO())
+    BodySearch(config, Files(hand_made.folder), go2, Machines(), screen).retry_failed()
+    with codesign_bo.open_study(hand_made.folder / "study.sqlite") as study:
+        assert [t.result is not None for t in study.trials()] == [True, False, True]
+    assert not list(hand_made.stages.glob("*.json"))
+    assert "1 failed" in screen.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_machines_that_are_too_small_are_refused_before_the_pre_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def small(*_: object, **__: object) -> None:
+        raise codesign_bo.ExecutorError("an evaluation needs 64 CPU, and no node has that")
+
+    monkeypatch.setattr(machines, "RayExecutor", small)
+    with pytest.raises(RunError, match="needs 64 CPU"):
+        pipeline.run(preset("smoke"), tmp_path, Console(file=io.StringIO()), Machines("ray", cpus=64))
+    assert not (tmp_path / "pretrain").exists()
 
 
 def worker_of(run: psutil.Popen, folder: Path) -> psutil.Process:

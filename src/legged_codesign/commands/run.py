@@ -91,6 +91,8 @@ class Run:
     """Longest time of a trial on a worker."""
     partition: str = ""
     """Of Slurm."""
+    retry_failed: bool = False
+    """Try bodies again that failed, once their cause is repaired; the others keep their results."""
     dry_run: bool = False
     """Print every number with its source and the predicted cost, and do nothing."""
     folder: Path | None = None
@@ -150,7 +152,7 @@ class Run:
         for seed in self.seeds or (self.seed,):
             one, where = replace(self, seed=seed), folder / f"seed-{seed}" if self.seeds else folder
             started = time.monotonic()
-            files = run(one.config(), where, console, self.machines(), self.processes)
+            files = run(one.config(), where, console, self.machines(), self.processes, self.retry_failed)
             console.print(f"\nfinished in {(time.monotonic() - started) / 60:.1f} min", highlight=False)
             for what, path in (
                 ("report", files.report),

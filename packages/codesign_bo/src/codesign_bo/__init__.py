@@ -3,7 +3,7 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from codesign_bo.errors import DivergedError, StudyError
+from codesign_bo.errors import DivergedError, ExecutorError, StudyError
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult, Score
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ __all__ = [
     "Estimate",
     "EvalRequest",
     "EvalResult",
+    "ExecutorError",
     "Feasible",
     "Gain",
     "HistoryRecord",

@@ -9,3 +9,10 @@ class StudyError(RuntimeError):
 
 class DivergedError(ValueError):
     """An evaluation gave numbers that are not finite; a study records it as `diverged`."""
+
+
+class ExecutorError(RuntimeError):
+    """Evaluations cannot run any more where they should, and no design is to blame; the message says what to do.
+
+    It ends a run: what was in flight stays open, and comes first in the next run.
+    """

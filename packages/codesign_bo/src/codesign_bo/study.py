@@ -244,6 +244,7 @@ class Study(Suggestions):
 
         Raises:
             StudyError: More than half of the trials fail, at least 5; those are kept, see `retry_failed`.
+            ExecutorError: The executor can run nothing any more; what was in flight stays open.
             TypeError: The callback returned something else than an `EvalResult`; its trial stays open.
         """
         called, show = listener(progress)

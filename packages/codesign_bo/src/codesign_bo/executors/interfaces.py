@@ -18,7 +18,10 @@ class Job(Protocol):
     def result(self) -> EvalResult:
         """Wait until done and return the outcome, the same one each time.
 
-        Whatever happened to the evaluation is an `EvalResult`, a failure if need be: this never raises.
+        Whatever happened to the evaluation is an `EvalResult`, a failure if need be.
+
+        Raises:
+            ExecutorError: Nothing can run there any more, so that nothing is known of this evaluation.
         """
         ...
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from codesign_bo.executors.evaluate import CANCELLED, PickledCallback
 from codesign_bo.executors.local import LocalExecutor
+from codesign_bo.executors.ray_cluster import Pulse, check_resources
 from codesign_bo.executors.slots import SlotExecutor, SlotJob
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult
 
@@ -40,6 +41,8 @@ class RayExecutor(SlotExecutor):
     Raises:
         ImportError: Ray is not installed.
         ValueError: A setting is out of range.
+        ConnectionError: There is no cluster at RAY_ADDRESS.
+        ExecutorError: No node that is up has what one evaluation needs.
 
     Example:
         >>> ray.init("auto")  # doctest: +SKIP
@@ -72,6 +75,9 @@ class RayExecutor(SlotExecutor):
             )
             self._limits = {"timeout": timeout, "memory": memory}
             LocalExecutor(**self._limits).close()  # refuses what a node would refuse
+            self._pulse = Pulse(ray)
+            asked = {"CPU": num_cpus, "GPU": num_gpus, "memory": memory or 0}
+            check_resources(ray.nodes(), {name: each for name, each in asked.items() if each}, self._pulse.address)
             super().__init__(slots)
         except BaseException:
             self._leave()
@@ -88,20 +94,29 @@ class RayExecutor(SlotExecutor):
 
     def _run(self, job: SlotJob, slot: int) -> EvalResult:
         ray = self._ray
+        try:
+            return self._evaluated(job)
+        except ray.exceptions.OutOfMemoryError as error:
+            return EvalResult.failure("crash", f"out of memory: {error}")
+        except Exception as error:  # of the node or its worker: the callback dies in a process of its own
+            self._pulse.feel(now=True)
+            if not isinstance(error, ray.exceptions.RayError):
+                raise
+            return EvalResult.failure("lost", f"Ray lost the evaluation: {error}")
+
+    def _evaluated(self, job: SlotJob) -> EvalResult:
+        ray = self._ray
         deadline = math.inf if job.request.deadline is None else job.request.deadline + _DEADLINE_GRACE
         task = self._task.remote(job.callback, job.request, self._limits)
         while not ray.wait([task], timeout=_POLL)[0]:
             late = time.time() > deadline
             if late or job.cancelled.is_set():
-                ray.cancel(task, force=True)
-                ray.wait([task], timeout=_END_GRACE)
+                if not self._pulse.gone:  # who is gone has nothing to end
+                    ray.cancel(task, force=True)
+                    ray.wait([task], timeout=_END_GRACE)
                 return EvalResult.failure("timeout", "the deadline passed") if late else CANCELLED
-        try:
-            return EvalResult.from_json(ray.get(task))
-        except ray.exceptions.OutOfMemoryError as error:
-            return EvalResult.failure("crash", f"out of memory: {error}")
-        except ray.exceptions.RayError as error:  # of the node or its worker: the callback dies in a process of its own
-            return EvalResult.failure("lost", f"Ray lost the evaluation: {error}")
+            self._pulse.feel()
+        return EvalResult.from_json(ray.get(task))
 
     def close(self) -> None:
         """Kill all evaluations that are not done; leave the cluster, if this executor had joined or started it."""

@@ -11,6 +11,7 @@ from queue import SimpleQueue
 from types import TracebackType
 from typing import Self
 
+from codesign_bo.errors import ExecutorError
 from codesign_bo.executors.evaluate import CANCELLED
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult
 
@@ -38,7 +39,11 @@ class SlotJob:
         return self.future.done()
 
     def result(self) -> EvalResult:
-        """Wait until done and return the outcome."""
+        """Wait until done and return the outcome.
+
+        Raises:
+            ExecutorError: Nothing can run there any more.
+        """
         try:
             return self.future.result()
         except CancelledError:
@@ -78,7 +83,11 @@ class SlotExecutor(ABC):
 
     @abstractmethod
     def _run(self, job: SlotJob, slot: int) -> EvalResult:
-        """Run one evaluation to its end, or until `job.cancelled` is set, and leave nothing of it behind."""
+        """Run one evaluation to its end, or until `job.cancelled` is set, and leave nothing of it behind.
+
+        Raises:
+            ExecutorError: Nothing can run there any more.
+        """
 
     def submit(self, callback: Callback, request: EvalRequest) -> SlotJob:
         """Evaluate `callback(request)` as soon as a slot is free.
@@ -100,6 +109,9 @@ class SlotExecutor(ABC):
             if job.future.set_running_or_notify_cancel():
                 try:
                     result = self._run(job, slot)
+                except ExecutorError as error:
+                    job.future.set_exception(error)
+                    continue
                 except Exception as error:
                     logger.exception("trial %d could not be run", job.request.trial)
                     result = EvalResult.failure("lost", f"the evaluation could not be run: {error!r}")

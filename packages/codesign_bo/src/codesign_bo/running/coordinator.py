@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from codesign_bo.errors import StudyError
+from codesign_bo.errors import ExecutorError, StudyError
 from codesign_bo.executors.evaluate import failure
 from codesign_bo.executors.interfaces import Executor, Job
 from codesign_bo.interfaces import Callback, EvalRequest, EvalResult
@@ -103,7 +103,7 @@ class Coordinator:
         """Work until there is nothing left to do, or the deadline has passed.
 
         Raises:
-            BaseException: Whatever stops the loop, KeyboardInterrupt too. What was in flight is then
+            BaseException: Whatever stops the loop, KeyboardInterrupt and ExecutorError too. What was in flight is then
                 cancelled and left open; nothing that was told is lost.
         """
         wait = _SHORTEST_WAIT
@@ -195,6 +195,8 @@ def _evaluation(request: EvalRequest) -> tuple[int, int]:
 def _outcome(job: Job) -> EvalResult:
     try:
         result = job.result()
+    except ExecutorError:
+        raise
     except Exception as error:  # an executor should not, but one that does must not end the study
         return EvalResult.failure("lost", f"the executor raised: {failure(error).message}")
     return checked(result)
