@@ -24,6 +24,7 @@ from legged_codesign.run_log import LoggedConsole
 from legged_codesign.search import BodySearch, search_space
 from legged_codesign.stages import Stage, locked, run_stages, write_text
 from legged_codesign.student_run import StudentConfig, StudentRun, check_student
+from legged_codesign.study_place import check_study, place_study
 
 
 def run(
@@ -33,6 +34,7 @@ def run(
     machines: Machines | None = None,
     processes: int = 1,
     retry_failed: bool = False,
+    study: Path | None = None,
 ) -> Files:
     """Do a whole run in `folder`, or what is left of it.
 
@@ -45,6 +47,7 @@ def run(
         machines: what the trials of the search run on; by default this process.
         processes: that pre-train together, each on a GPU of its own or its share of the cores.
         retry_failed: try bodies again that failed in an earlier life of the run.
+        study: file to keep the search in, on a local disk; None for the run folder, or for where it is already.
 
     Returns:
         Where the results are.
@@ -58,9 +61,11 @@ def run(
     folder = folder.resolve()  # machines of a cluster are at home elsewhere
     log = LoggedConsole(console or Console())
     # what cannot work must not claim the folder
+    check_study(folder, study)
     planned = _Run(config, Files(folder), log, machines or Machines(), processes)
     with locked(folder):
         bind(folder, config)
+        place_study(folder, study)
         with log.into(folder):
             if retry_failed:
                 planned.bodies.retry_failed()

@@ -91,7 +91,7 @@ def test_a_network_file_system(tmp_path: Path) -> None:
     found = machine.check_file_system(tmp_path / "runs", mounts)
     assert found.status == "fail"
     assert "nfs4" in found.text
-    assert "--folder" in found.remedy
+    assert "--study" in found.remedy
     assert machine.check_file_system(Path("/elsewhere"), mounts).status == "ok"
 
 

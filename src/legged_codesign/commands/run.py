@@ -97,6 +97,9 @@ class Run:
     """Print every number with its source and the predicted cost, and do nothing."""
     folder: Path | None = None
     """Run folder; by default runs/<preset>-<robot>-<task>-<objective>."""
+    study: Path | None = None
+    """File of the search, on a local disk of this machine, for a run folder on a network file system; remembered there.
+    With --seeds its name gets the seed."""
 
     @property
     def chosen_robot(self) -> str:
@@ -140,19 +143,22 @@ class Run:
         """Run, or say what would be done."""
         from legged_codesign.pipeline import check, run
         from legged_codesign.plan import print_plan
+        from legged_codesign.study_place import check_study
 
+        name = f"{self.preset}-{short_name(self.chosen_robot)}-{self.task}-{self.objective}"
+        folder = self.folder or Path("runs") / name
         if self.dry_run:
             config = self.config()
             factory = body_factory(config.robot, config.bodies)
             check(config, factory)
+            for seed in self._seeds():
+                check_study(*self._places(folder, seed))
             print_plan(config, factory, self.machines(), console)
             return
-        name = f"{self.preset}-{short_name(self.chosen_robot)}-{self.task}-{self.objective}"
-        folder = self.folder or Path("runs") / name
-        for seed in self.seeds or (self.seed,):
-            one, where = replace(self, seed=seed), folder / f"seed-{seed}" if self.seeds else folder
+        for seed in self._seeds():
+            one, (where, study) = replace(self, seed=seed), self._places(folder, seed)
             started = time.monotonic()
-            files = run(one.config(), where, console, self.machines(), self.processes, self.retry_failed)
+            files = run(one.config(), where, console, self.machines(), self.processes, self.retry_failed, study)
             console.print(f"\nfinished in {(time.monotonic() - started) / 60:.1f} min", highlight=False)
             for what, path in (
                 ("report", files.report),
@@ -161,6 +167,15 @@ class Run:
                 ("best URDF", files.best_urdf),
             ):
                 console.print(f"  {what:<10} {path}", highlight=False, soft_wrap=True)
+
+    def _seeds(self) -> tuple[int, ...]:
+        return self.seeds or (self.seed,)
+
+    def _places(self, folder: Path, seed: int) -> tuple[Path, Path | None]:
+        """Folder and study of the run with a seed."""
+        if not self.seeds:
+            return folder, self.study
+        return folder / f"seed-{seed}", self.study and self.study.with_stem(f"{self.study.stem}-{seed}")
 
 
 def parse_bounds(text: str) -> tuple[str, float, float]:

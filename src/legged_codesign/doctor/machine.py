@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
-from codesign_bo import StudyError
-from codesign_bo.storage.filesystem import refuse_network
+from codesign_bo.storage.filesystem import network_mount
 from locorl.simulation.cpu import available_cores
 
 from legged_codesign.doctor.finding import Finding
@@ -134,12 +133,14 @@ def check_disk(folder: Path, free_gb: float | None = None, writable: bool | None
 
 def check_file_system(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Finding:
     """Whether the study of a run may lie in a folder: SQLite needs a local disk."""
-    try:
-        refuse_network(folder / "study.sqlite", mounts)
-    except StudyError as error:
-        found = str(error).split(", where")[0]
+    found = network_mount(folder, mounts)
+    if found is not None:
+        text = f"{folder} lies on a network file system ({found})"
         return Finding(
-            "file system", "fail", found, "SQLite may lose trials there: give --folder on a local disk, copy it later"
+            "file system",
+            "fail",
+            text,
+            "SQLite may lose trials there: give the run a --study on a local disk, or another --folder",
         )
     return Finding("file system", "ok", f"{folder} is on no network file system")
 

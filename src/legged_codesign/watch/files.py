@@ -120,7 +120,7 @@ class StudyFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._log = path, path.with_name(path.name + "-wal")
+        self._path = path
         self._stamps: tuple[Stamp, Stamp] = (None, None)
         self._tables = Tables()
         self.problem: str | None = None
@@ -138,7 +138,7 @@ class StudyFile:
             try:
                 shutil.copyfile(self._path, copy)
                 if now[1] is not None:
-                    shutil.copyfile(self._log, copy.with_name(self._log.name))
+                    shutil.copyfile(write_ahead_log(self._path), copy.with_name(f"{copy.name}-wal"))
                 if self._now() != now:  # main file and log may be of different moments
                     return self._tables
                 with open_study(copy) as study:
@@ -153,7 +153,13 @@ class StudyFile:
         return self._tables
 
     def _now(self) -> tuple[Stamp, Stamp]:
-        return stamp(self._path), stamp(self._log)
+        return stamp(self._path), stamp(write_ahead_log(self._path))
+
+
+def write_ahead_log(study: Path) -> Path:
+    """Where SQLite keeps what is not in the file of a study yet: beside the file itself, not beside a link to it."""
+    real = study.resolve()
+    return real.with_name(f"{real.name}-wal")
 
 
 def last_lines(path: Path, count: int) -> Sequence[str]:

@@ -17,7 +17,7 @@ from legged_codesign.objective import UNITS
 from legged_codesign.run_folder import Files
 from legged_codesign.run_log import LOG, PROGRESS, Progress
 from legged_codesign.stages import in_use
-from legged_codesign.watch.files import CachedFile, JsonLines, StudyFile, Tables, last_lines
+from legged_codesign.watch.files import CachedFile, JsonLines, StudyFile, Tables, last_lines, write_ahead_log
 from legged_codesign.watch.state import Curve, RunState, StageState, StageStatus, Status
 from legged_codesign.watch.tables import best_trial, confirmation_rows, search_left, trial_rows
 
@@ -215,9 +215,11 @@ class RunReader:
     def _idle(self) -> float | None:
         """Seconds since something was written."""
         written = []
-        for name in (LOG, "config.yaml", "metrics.jsonl", "stages", "trials", "study.sqlite", "study.sqlite-wal"):
+        names = (LOG, "config.yaml", "metrics.jsonl", "stages", "trials")
+        study = self.files.study
+        for path in (*(self.folder / name for name in names), study, write_ahead_log(study)):
             try:
-                written.append((self.folder / name).stat().st_mtime)
+                written.append(path.stat().st_mtime)
             except OSError:
                 continue
         for training in _TRAININGS:

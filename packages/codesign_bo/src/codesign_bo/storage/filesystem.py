@@ -14,18 +14,15 @@ _NETWORK = re.compile(
 )
 
 
-def refuse_network(path: Path, mounts: Path = _MOUNTS) -> None:
-    """Refuse a path on a network file system, where the system lists its mounts (Linux); elsewhere do nothing.
+def network_mount(path: Path, mounts: Path = _MOUNTS) -> str | None:
+    """Return the kind and place of the network file system that a path lies on, as `nfs4 at /home`, or None.
 
     Args:
-        path: File or folder, which need not exist.
-        mounts: Table of mounts.
-
-    Raises:
-        StudyError: The path lies on a network file system.
+        path: File or folder, which need not exist; links are followed.
+        mounts: Table of mounts, as Linux lists them; where there is none, nothing is known.
     """
     if not mounts.is_file():
-        return
+        return None
     kind, where = "", Path()
     target = path.resolve()
     for line in mounts.read_text(errors="replace").splitlines():
@@ -34,9 +31,19 @@ def refuse_network(path: Path, mounts: Path = _MOUNTS) -> None:
         # Of mounts on the same point the last one counts.
         if target.is_relative_to(mount) and len(mount.parts) >= len(where.parts):
             kind, where = filesystem, mount
-    if _NETWORK.match(kind):
+    return f"{kind} at {where}" if _NETWORK.match(kind) else None
+
+
+def refuse_network(path: Path, mounts: Path = _MOUNTS) -> None:
+    """Refuse a path on a network file system (see `network_mount`).
+
+    Raises:
+        StudyError: The path lies on a network file system.
+    """
+    found = network_mount(path, mounts)
+    if found is not None:
         raise StudyError(
-            f"{path} lies on a network file system ({kind} at {where}), where SQLite may lose or damage trials; "
+            f"{path} lies on a network file system ({found}), where SQLite may lose or damage trials; "
             "put the study on a local disk (the work folders of evaluations may stay, see `workdir`), or pass "
             "allow_network=True if you know that its locks work and only this machine uses it"
         )
