@@ -3,12 +3,16 @@
 Several processes, one for each GPU, are those of torchrun, which this module is the program of:
 
     torchrun --nproc-per-node 4 -m legged_codesign.pretrain runs/paper-go2-steps-return
+
+Those that a run starts end with it, even if it is killed: they would go on training in a folder that another run holds.
 """
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +29,8 @@ from legged_codesign.stages import RunError
 from legged_codesign.tasks import find_task, searched_task
 
 _TRAINED = "policy.pt"
+_LED = "--led"
+"""The standard input is a pipe that ends with the run."""
 
 
 def pretrain(config: RunConfig, files: Files, processes: int = 1) -> None:
@@ -93,15 +99,34 @@ def check_shipped(config: RunConfig, factory: BodyFactory) -> None:
 
 def _train_together(files: Files, processes: int) -> None:
     program = ["-m", "torch.distributed.run", "--standalone", f"--nproc-per-node={processes}"]
-    done = subprocess.run([sys.executable, *program, "-m", "legged_codesign.pretrain", str(files.folder)])
-    if done.returncode:
+    command = [sys.executable, *program, "-m", "legged_codesign.pretrain", str(files.folder), _LED]
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as training:
+        try:
+            code = training.wait()
+        except BaseException:  # Ctrl-C: to close the pipe ends the others, and `with` waits for them
+            training.terminate()
+            raise
+    if code:
         raise RunError(
-            f"pre-training with {processes} processes ended with code {done.returncode}; what they printed stands above"
+            f"pre-training with {processes} processes ended with code {code}; what they printed stands above"
         )
+
+
+def _end_with_run() -> None:
+    """End this process when the standard input does, whatever it is doing."""
+
+    def wait() -> None:
+        while os.read(sys.stdin.fileno(), 4096):
+            pass
+        os._exit(1)  # the main thread may be waiting for the other processes, and hear nothing
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def main() -> None:
     """Entry point of each of several processes."""
+    if sys.argv[2:] == [_LED]:
+        _end_with_run()
     files = Files(Path(sys.argv[1]))
     config = read_config(files.folder)
     device = config.pretrain.simulator.device
