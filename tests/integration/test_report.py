@@ -279,6 +279,14 @@ def test_damaged_json_is_named(made: Path, tmp_path: Path) -> None:
 # --- compare ------------------------------------------------------------------------------------------
 
 
+def test_a_torn_line_costs_its_stage_alone(hand_made) -> None:
+    """A power cut in the middle of a line."""
+    hand_made.finish("pretrain", "screen", seconds=7.0)
+    with (hand_made.folder / "metrics.jsonl").open("a") as file:
+        file.write('{"stage": "search", "sec')
+    assert read_run(hand_made.folder).stages == {"pretrain": 7.0, "screen": 7.0}
+
+
 def test_best_so_far_is_relative_to_the_nominal_body(made: Path) -> None:
     data = read_run(made)
     values = [score(dict(t.params)) for t in data.trials]

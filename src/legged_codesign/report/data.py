@@ -115,10 +115,7 @@ def _comparison(stored: Any) -> dict[str, Mapping[str, float]]:
 
 def _stages(path: Path) -> dict[str, float]:
     """Seconds of each stage, the last time that it ran."""
-    if not path.is_file():
-        return {}
-    rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    return {row["stage"]: row["seconds"] for row in rows}
+    return {str(row["stage"]): row["seconds"] for row in read_metrics(path)}
 
 
 def _json(path: Path) -> Any:
