@@ -19,7 +19,6 @@ _REFERENCE = "legged_gym and Extreme Parkour, on which the authors build"
 _RELEASED = "the authors' released code"
 
 SOURCES: Mapping[str, str] = {
-    "task": "section IV-A2; slope: IV-C",
     "robot": "section IV-A2",
     "bodies.rule": "Table II",
     "bodies.space": "section III-B1",
@@ -28,11 +27,9 @@ SOURCES: Mapping[str, str] = {
     "body.kd": "section IV-A2",
     "body.low": "section IV-A1",
     "body.high": "section IV-A1",
-    "objective": "eqs. 9 and 10",
     "pretrain.num_envs": _RELEASED,
     "pretrain.iterations": "section IV-B4",
     "pretrain.morphology.kind": "section III-B1",
-    "pretrain.task.terrain.kinds": "section IV-A2",
     "pretrain.task.terrain": _REFERENCE,
     "pretrain.task.curriculum": _REFERENCE,
     "pretrain.task.observation": "section III-A1",
@@ -70,6 +67,13 @@ SOURCES: Mapping[str, str] = {
     "deploy.seconds": "Fig. 9",
 }
 """Where the numbers of the preset `paper` come from, by the longest prefix of their names; the others are ours."""
+TASK_SOURCES: Mapping[str, str] = {
+    **dict.fromkeys(("steps", "hills", "highjump", "longjump"), "section IV-A2"),
+    "slope": "section IV-C",
+    "stones": _RELEASED,
+}
+OBJECTIVE_SOURCES: Mapping[str, str] = {"return": "eq. 9", "energy": "eq. 10"}
+"""Where tasks and objectives come from, whatever the preset; the others are ours."""
 _OURS = (
     "pretrain.task.name",
     "pretrain.task.physics.solver_iterations",
@@ -106,8 +110,11 @@ def settings(config: RunConfig, factory: BodyFactory) -> list[Setting]:
     paper = dict(leaves(to_dict(preset("paper", config.objective, config.task))))
     # morphgen's defaults are the paper's
     paper |= {"body.kp": 40.0, "body.kd": 0.7, "body.low": [0.6] * 4, "body.high": [1.4] * 4}
+    task = TASK_SOURCES.get(config.task, "ours")
+    chosen = {"task": task, "objective": OBJECTIVE_SOURCES.get(config.objective, "ours")}
+    sources = {**SOURCES, **chosen, "pretrain.task.terrain.kinds": task}
     return [
-        Setting(name, value, _source(name, value, paper.get(name)))
+        Setting(name, value, _source(name, value, paper.get(name), sources))
         for name, value in {**dict(leaves(to_dict(config))), **body}.items()
     ]
 
@@ -123,12 +130,12 @@ def print_plan(config: RunConfig, factory: BodyFactory, machines: Machines, cons
     console.print(f"predicted: {predict(config, factory, machines)}", highlight=False, soft_wrap=True)
 
 
-def _source(name: str, value: object, papers: object) -> str:
-    prefixes = [prefix for prefix in SOURCES if name == prefix or name.startswith(f"{prefix}.")]
+def _source(name: str, value: object, papers: object, sources: Mapping[str, str]) -> str:
+    prefixes = [prefix for prefix in sources if name == prefix or name.startswith(f"{prefix}.")]
     if not prefixes or name in _OURS:
         return "ours"
-    source = SOURCES[max(prefixes, key=len)]
-    return source if value == papers else f"ours; {_short(papers)} by {source}"
+    source = sources[max(prefixes, key=len)]
+    return source if value == papers or source == "ours" else f"ours; {_short(papers)} by {source}"
 
 
 def _short(value: object) -> str:

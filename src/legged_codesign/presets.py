@@ -25,7 +25,12 @@ POWER_WEIGHT = -2.0
 """Reward weight of positive mechanical power over body weight while fine-tuning for energy."""
 
 
-def preset(name: str, objective: Objective = "cost-of-transport", task: TaskName = "flat") -> RunConfig:
+def default_objective(name: str) -> Objective:
+    """What a preset scores bodies by if nothing is said: `paper` by the return of eq. 9, ours by what a walk costs."""
+    return "return" if name == "paper" else "cost-of-transport"
+
+
+def preset(name: str, objective: Objective | None = None, task: TaskName = "flat") -> RunConfig:
     """The configuration of a preset.
 
     `smoke` proves the plumbing from scratch within 3 minutes on 2 cores and claims no quality. `laptop`
@@ -34,8 +39,8 @@ def preset(name: str, objective: Objective = "cost-of-transport", task: TaskName
 
     Args:
         name: of the preset.
-        objective: what bodies are scored by; for energy and cost of transport the fine-tuning reward weighs
-            mechanical power as well, so that it optimises what the search scores.
+        objective: what bodies are scored by, None: see `default_objective`; for energy and cost of transport the
+            fine-tuning reward weighs mechanical power as well, so that it optimises what the search scores.
         task: what bodies are searched for.
 
     Raises:
@@ -43,6 +48,7 @@ def preset(name: str, objective: Objective = "cost-of-transport", task: TaskName
     """
     if name not in _PRESETS:
         raise ValueError(f"no preset '{name}'; choose one of {', '.join(_PRESETS)}")
+    objective = objective or default_objective(name)
     config = replace(_PRESETS[name](task), preset=name, task=task, robot=find_task(task).robot, objective=objective)
     weight = None if objective == "return" else POWER_WEIGHT
     return replace(config, finetune=replace(config.finetune, specific_power=weight))

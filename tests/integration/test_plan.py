@@ -32,6 +32,38 @@ def test_the_papers_numbers_name_their_place(task) -> None:
     assert set(weights.values()) == {"Table I"}
 
 
+@pytest.mark.parametrize(
+    ("task", "objective", "said"),
+    [
+        ("steps", "return", ("section IV-A2", "eq. 9")),
+        ("slope", "energy", ("section IV-C", "eq. 10")),
+        ("flat", "cost-of-transport", ("ours", "ours")),
+        ("stones", "return", ("the authors' released code", "eq. 9")),
+    ],
+)
+@pytest.mark.parametrize("name", ["paper", "laptop"])
+def test_tasks_and_objectives_that_the_paper_lacks_are_ours(name, task, objective, said) -> None:
+    found = sources(preset(name, objective, task))
+    assert (found["task"][1], found["objective"][1]) == said
+    if name == "paper":
+        assert found["pretrain.task.terrain.kinds"][1] == said[0]
+
+
+def test_the_papers_objective_is_its_return_unless_asked_otherwise() -> None:
+    assert Run(preset="paper", task="steps").config() == preset("paper", "return", "steps")
+    assert Run(preset="paper", task="steps", objective="energy").config().objective == "energy"
+    assert Run().config().objective == "cost-of-transport"
+
+
+@pytest.mark.parametrize("task", ["steps", "hills", "slope", "highjump", "longjump", "flat"])
+def test_dry_run_of_each_task_of_the_paper(codesign, task, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    code, output = codesign("run", "--preset", "paper", "--task", task, "--dry-run")
+    assert code == 0, output
+    for words in ("6000", "section IV-B4", "Table I", "eq. 9", "lite3" if "jump" in task else "go2"):
+        assert words in output
+
+
 def test_what_differs_from_the_paper_says_so() -> None:
     found = sources(preset("laptop", "return", "steps"))
     assert found["finetune.iterations"] == (16, "ours; 400 by section IV-B4")

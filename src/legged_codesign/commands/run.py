@@ -15,7 +15,7 @@ from rich.console import Console
 from legged_codesign.adapt import AdaptConfig
 from legged_codesign.config import Objective, RunConfig, SearchMethod
 from legged_codesign.machines import ExecutorName, Machines
-from legged_codesign.presets import on_simulator, preset
+from legged_codesign.presets import default_objective, on_simulator, preset
 from legged_codesign.robots import BodyConfig, SpaceName, absolute, body_factory, short_name
 from legged_codesign.tasks import TaskName, find_task
 
@@ -36,9 +36,10 @@ class Run:
     robot: str | None = None
     """An installed robot (entry point group legged.bodies), or the path of a .urdf (then with --from-scratch); by
     default the paper's for the task, go2 or lite3."""
-    objective: Objective = "cost-of-transport"
+    objective: Objective | None = None
     """return: undiscounted reward (eq. 9). energy: positive joint work (eq. 10). cost-of-transport: the same
-    per weight and way; energies count with tracking as a constraint."""
+    per weight and way; energies count with tracking as a constraint. By default return with the preset paper, else
+    cost-of-transport."""
     pareto: bool = False
     """Search for the best compromises of the objective and return, or of return and energy if that is the objective; it
     still decides among them."""
@@ -145,7 +146,8 @@ class Run:
         from legged_codesign.plan import print_plan
         from legged_codesign.study_place import check_study
 
-        name = f"{self.preset}-{short_name(self.chosen_robot)}-{self.task}-{self.objective}"
+        objective = self.objective or default_objective(self.preset)
+        name = f"{self.preset}-{short_name(self.chosen_robot)}-{self.task}-{objective}"
         folder = self.folder or Path("runs") / name
         if self.dry_run:
             config = self.config()

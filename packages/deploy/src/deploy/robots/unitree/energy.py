@@ -5,7 +5,8 @@ To decode 500 messages a second in Python takes a good part of a core; in a thre
     python -m deploy.robots.unitree.energy DOMAIN INTERFACE       # records on stdout, until nobody reads them
 """
 
-# pyright: reportMissingImports=false
+# pyright: reportMissingImports=false, reportIndexIssue=false
+# To the checker an IDL array is no sequence.
 from __future__ import annotations
 
 import os
