@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,8 +12,36 @@ from locorl.providers import find_factory, is_file
 from morphgen import BodyFactory, DesignSpace, GainRule, Rule, from_urdf, load_robot
 from morphgen.robots import ROBOTS
 from morphgen.stance.gains import GainKind
+from morphgen.urdf.legs import QUARTERS
 
 SpaceName = Literal["legs", "per-leg", "wide"]
+
+
+@dataclass(frozen=True)
+class FileConfig:
+    """How the URDF at a path is opened, where the file alone does not say enough."""
+
+    mesh_paths: tuple[str, ...] = ()
+    """Folders in which its meshes and packages are looked for."""
+    repair: bool = False
+    """Repair impossible inertias instead of refusing them."""
+    lock: tuple[str, ...] = ()
+    """Joints that are fixed at zero, such as those of an arm."""
+    hips: tuple[str, ...] = ()
+    """Hip joints of the front left, front right, rear left and rear right leg; empty: found by place."""
+    torque_limit: float | None = None
+    """Of joints for which the file gives none, N m."""
+    kp: float | None = None
+    """Stiffness of the servos, N m/rad; None: by weight and height."""
+    kd: float | None = None
+    """Damping of the servos, N m s/rad; None: by weight and height."""
+
+    def __post_init__(self) -> None:
+        """Refuse hips that are not four."""
+        if len(self.hips) not in (0, len(QUARTERS)):
+            raise ValueError(
+                f"FileConfig.hips names {len(self.hips)} joints; name one for each of {', '.join(QUARTERS)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -28,6 +56,8 @@ class BodyConfig:
     """How PD gains follow the body (eta_j of section IV-A2); none: they do not."""
     coefficients: tuple[float, ...] = ()
     """Of the gain rule `polynomial`."""
+    file: FileConfig = field(default_factory=FileConfig)
+    """Of a robot that is given by the path of a URDF."""
 
     @property
     def untouched(self) -> bool:
@@ -59,9 +89,14 @@ def _chosen(robot: str, bodies: BodyConfig) -> BodyFactory:
     """A robot whose rule, design space or gains are chosen here."""
     space = _SPACES[bodies.space]
     gains = GainRule(bodies.gains, bodies.coefficients)
-    if is_file(robot):
-        find_factory(robot)  # says what is missing
-        return from_urdf(Path(robot), rule=bodies.rule or "stretch", space=space, gains=gains)
+    if is_file(robot) and Path(robot).is_file():
+        return _from_file(Path(robot), bodies, space, gains)
+    if bodies.file != FileConfig():
+        find_factory(robot)  # says whether it is there at all
+        raise LookupError(
+            f"robot '{robot}' is no file: where meshes lie, repairs, locked joints, hips, torque limit and servo gains "
+            "can be chosen for the path of a .urdf"
+        )
     if robot not in ROBOTS:
         find_factory(robot)
         raise LookupError(
@@ -69,6 +104,24 @@ def _chosen(robot: str, bodies: BodyConfig) -> BodyFactory:
             f"{', '.join(ROBOTS)}"
         )
     return load_robot(robot, rule=bodies.rule or "paper", space=space, gains=gains)
+
+
+def _from_file(path: Path, bodies: BodyConfig, space: DesignSpace, gains: GainRule) -> BodyFactory:
+    file = bodies.file
+    factory = from_urdf(
+        path,
+        rule=bodies.rule or "stretch",
+        space=space,
+        gains=gains,
+        mesh_paths=[Path(folder) for folder in file.mesh_paths],
+        repair=file.repair,
+        lock=file.lock,
+        hips=dict(zip(QUARTERS, file.hips, strict=True)) if file.hips else None,
+    )
+    drive = {"kp": file.kp, "kd": file.kd, "torque_limit": file.torque_limit}
+    # the rest of it was sized to the robot
+    factory.drive = replace(factory.drive, **{name: value for name, value in drive.items() if value is not None})
+    return factory
 
 
 _SPACES: Mapping[SpaceName, DesignSpace] = {

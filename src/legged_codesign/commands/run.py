@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Literal
 
 from locorl import SimulatorConfig
-from morphgen import Rule
-from morphgen.stance.gains import GainKind
 from rich.console import Console
 
 from legged_codesign.adapt import AdaptConfig
+from legged_codesign.commands.body import BodyOptions
 from legged_codesign.config import Objective, RunConfig, SearchMethod
 from legged_codesign.machines import ExecutorName, Machines
 from legged_codesign.presets import default_objective, on_simulator, preset
-from legged_codesign.robots import BodyConfig, SpaceName, absolute, body_factory, short_name
+from legged_codesign.robots import absolute, body_factory, short_name
 from legged_codesign.tasks import TaskName, find_task
 
 HARDWARE_BOUNDS = ("front_shank=1:1.4", "hind_shank=1:1.4")
@@ -25,7 +24,7 @@ HARDWARE_FIXED = ("front_thigh=1", "hind_thigh=1")
 
 
 @dataclass(frozen=True)
-class Run:
+class Run(BodyOptions):
     """Do the whole loop; the same command goes on where a killed one stopped."""
 
     preset: Literal["smoke", "laptop", "workstation", "paper"] = "laptop"
@@ -49,14 +48,6 @@ class Run:
     """Parameters to hold, such as front_thigh=1 hind_thigh=1."""
     hardware: bool = False
     """The bounds of the paper's search on hardware (section IV-C1): shanks alone, 1 to 1.4."""
-    space: SpaceName = "legs"
-    """Design space: the paper's four leg scales, or a wider one (then with --from-scratch)."""
-    rule: Rule | None = None
-    """How thigh and shank scale; None keeps what the robot comes with."""
-    gains: GainKind = "none"
-    """How PD gains follow the body."""
-    gain_coefficients: tuple[float, ...] = ()
-    """Of --gains polynomial."""
     student: Literal["plain", "adapted", "depth"] | None = None
     """plain: imitates the body's policy. adapted: estimator and ROA come first. depth: it sees, too. None: what suits
     the task."""
@@ -124,7 +115,7 @@ class Run:
         config = replace(
             config,
             robot=absolute(self.chosen_robot),
-            bodies=BodyConfig(self.rule, self.space, self.gains, self.gain_coefficients),
+            bodies=self.bodies,
             seed=self.seed,
             bounds=tuple(parse_bounds(text) for text in (*more_bounds, *self.bounds)),
             fixed=tuple(parse_fixed(text) for text in (*more_fixed, *self.fix)),

@@ -8,13 +8,14 @@ from pathlib import Path
 from rich.console import Console
 
 from legged_codesign.adapt import AdaptConfig
+from legged_codesign.commands.body import BodyOptions
 from legged_codesign.config import DistilConfig
 from legged_codesign.robots import absolute
 from legged_codesign.student_run import StudentConfig, StudentRun
 
 
 @dataclass(frozen=True)
-class Student:
+class Student(BodyOptions):
     """Make a student of a shipped generalist for one body; the same command goes on where a killed one stopped.
 
     Fine-tunes the generalist on the body while velocity estimator and history encoder (ROA) learn beside it, distils,
@@ -49,6 +50,7 @@ class Student:
         few = {} if self.iterations is None else {"iterations": self.iterations}
         return StudentConfig(
             robot=absolute(self.robot),
+            bodies=self.bodies,
             policy=str(Path(self.policy).resolve()) if Path(self.policy).is_file() else self.policy,
             design=self.design,
             terrain=self.terrain,
