@@ -7,11 +7,14 @@ from pathlib import Path
 
 import pytest
 from locorl.config import to_dict
+from rich.console import Console
 
+from legged_codesign import RunConfig, pipeline
 from legged_codesign.commands.run import Run
 from legged_codesign.plan import settings
 from legged_codesign.presets import preset
 from legged_codesign.robots import body_factory
+from legged_codesign.run_folder import Files
 
 
 def sources(config) -> dict[str, tuple[object, str]]:
@@ -60,8 +63,29 @@ def test_dry_run_of_each_task_of_the_paper(codesign, task, monkeypatch: pytest.M
     monkeypatch.setenv("COLUMNS", "200")
     code, output = codesign("run", "--preset", "paper", "--task", task, "--dry-run")
     assert code == 0, output
-    for words in ("6000", "section IV-B4", "Table I", "eq. 9", "lite3" if "jump" in task else "go2"):
+    for words in ("6000", "section IV-B4", "Table I", "eq. 9", "3 such runs", "lite3" if "jump" in task else "go2"):
         assert words in output
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ({}, [("runs/paper-go2-steps-return/seed-0", 0), ("runs/paper-go2-steps-return/seed-1", 1)]),
+        ({"seeds": (4,)}, [("runs/paper-go2-steps-return/seed-4", 4)]),
+        ({"seed": 5}, [("runs/paper-go2-steps-return", 5)]),
+    ],
+)
+def test_the_paper_is_run_three_times(options, wanted, monkeypatch: pytest.MonkeyPatch) -> None:
+    started = []
+
+    def run(config: RunConfig, folder: Path, *_: object) -> Files:
+        started.append((str(folder), config.seed))
+        return Files(folder)
+
+    monkeypatch.setattr(pipeline, "run", run)
+    Run(preset="paper", task="steps", **options).run(Console(quiet=True))
+    assert started[:2] == wanted
+    assert len(started) == (1 if options else 3)
 
 
 def test_what_differs_from_the_paper_says_so() -> None:

@@ -22,6 +22,9 @@ HARDWARE_BOUNDS = ("front_shank=1:1.4", "hind_shank=1:1.4")
 HARDWARE_FIXED = ("front_thigh=1", "hind_thigh=1")
 """Section IV-C1: the thighs of a built robot stay, its shanks can be lengthened."""
 
+PAPERS_SEEDS = (0, 1, 2)
+"""Section IV-A2: three independent runs."""
+
 
 @dataclass(frozen=True)
 class Run(BodyOptions):
@@ -53,9 +56,11 @@ class Run(BodyOptions):
     the task."""
     search: SearchMethod = "codesign-bo"
     """What proposes bodies; the others are baselines (extra legged-codesign-bo[baselines])."""
-    seed: int = 0
+    seed: int | None = None
+    """Of everything random; by default 0."""
     seeds: tuple[int, ...] = ()
-    """Several runs, one after the other, each in a folder of its own."""
+    """Several runs, one after the other, each in a folder of its own; by default three with the preset paper (section
+    IV-A2), unless there is a --seed."""
     trials: int | None = None
     """Bodies to fine-tune in the search; None keeps the preset's number."""
     iterations: int | None = None
@@ -116,11 +121,11 @@ class Run(BodyOptions):
             config,
             robot=absolute(self.chosen_robot),
             bodies=self.bodies,
-            seed=self.seed,
+            seed=self.seed or 0,
             bounds=tuple(parse_bounds(text) for text in (*more_bounds, *self.bounds)),
             fixed=tuple(parse_fixed(text) for text in (*more_fixed, *self.fix)),
             from_scratch=self.from_scratch or config.from_scratch,
-            pretrain=replace(config.pretrain, seed=max(0, self.seed)),
+            pretrain=replace(config.pretrain, seed=max(0, self.seed or 0)),
             search=search,
             finetune=finetune,
             distil=distil,
@@ -147,6 +152,9 @@ class Run(BodyOptions):
             for seed in self._seeds():
                 check_study(*self._places(folder, seed))
             print_plan(config, factory, self.machines(), console)
+            if len(self._seeds()) > 1:
+                seeds = ", ".join(map(str, self._seeds()))
+                console.print(f"{len(self._seeds())} such runs, one after the other, with the seeds {seeds}")
             return
         for seed in self._seeds():
             one, (where, study) = replace(self, seed=seed), self._places(folder, seed)
@@ -162,11 +170,13 @@ class Run(BodyOptions):
                 console.print(f"  {what:<10} {path}", highlight=False, soft_wrap=True)
 
     def _seeds(self) -> tuple[int, ...]:
-        return self.seeds or (self.seed,)
+        if self.seeds or self.seed is not None:
+            return self.seeds or (self.seed or 0,)
+        return PAPERS_SEEDS if self.preset == "paper" else (0,)
 
     def _places(self, folder: Path, seed: int) -> tuple[Path, Path | None]:
         """Folder and study of the run with a seed."""
-        if not self.seeds:
+        if not self.seeds and len(self._seeds()) == 1:
             return folder, self.study
         return folder / f"seed-{seed}", self.study and self.study.with_stem(f"{self.study.stem}-{seed}")
 
