@@ -15,6 +15,15 @@ from legged_codesign.plan import settings
 from legged_codesign.presets import preset
 from legged_codesign.robots import body_factory
 from legged_codesign.run_folder import Files
+from legged_codesign.tasks import RUN_TASKS
+
+TABLE_I = (
+    *("linear_velocity_tracking", "collisions", "angular_velocity_tracking", "linear_velocity_penalty"),
+    *("angular_velocity_penalty", "action_rate", "hip_position_penalty", "joint_acceleration"),
+    *("joint_position_penalty", "torque_rate", "torque_penalty", "feet_air_time"),
+    *("goal_tracking", "clearance", "orientation"),
+)
+"""The rows of both columns."""
 
 
 def sources(config) -> dict[str, tuple[object, str]]:
@@ -30,9 +39,13 @@ def test_the_papers_numbers_name_their_place(task) -> None:
     assert found["pretrain.ppo.gamma_reg"] == (0.98, "Table III")
     assert found["body.kp"] == (40.0, "section IV-A2")
     assert found["body.low"] == ([0.6] * 4, "section IV-A1")
-    weights = {name: source for name, (_, source) in found.items() if name.startswith("pretrain.task.reward.")}
-    assert len(weights) > 20
-    assert set(weights.values()) == {"Table I"}
+    reward = {name.split(".")[-1]: said for name, said in found.items() if name.startswith("pretrain.task.reward.")}
+    weights = [said for name, said in reward.items() if name in TABLE_I]
+    assert len(weights) == len(TABLE_I)
+    assert {source for _, source in weights} == {"Table I"}
+    assert {value for value, _ in weights} >= {0.5, -0.05, -0.04, -2.5e-7, -1e-5}
+    # with the paper's kernel these say nothing
+    assert reward["linear_scale"][1] == reward["angular_scale"][1] == "ours"
 
 
 @pytest.mark.parametrize(
@@ -48,8 +61,36 @@ def test_the_papers_numbers_name_their_place(task) -> None:
 def test_tasks_and_objectives_that_the_paper_lacks_are_ours(name, task, objective, said) -> None:
     found = sources(preset(name, objective, task))
     assert (found["task"][1], found["objective"][1]) == said
-    if name == "paper":
-        assert found["pretrain.task.terrain.kinds"][1] == said[0]
+
+
+def test_ground_of_the_pre_training_says_which_kinds_the_paper_has() -> None:
+    kinds = {task: sources(preset("paper", "return", task))["pretrain.task.terrain.kinds"][1] for task in RUN_TASKS}
+    assert kinds["steps"] == kinds["hills"] == "section IV-A2"
+    assert kinds["slope"] == "section IV-A2; section IV-C"
+    assert kinds["highjump"] == "section IV-A2; the authors' released code"  # tilted stones
+    assert kinds["flat"] == "ours"
+
+
+def test_numbers_that_no_reference_has_are_ours() -> None:
+    """As legged_gym and Extreme Parkour are published."""
+    found = {task: sources(preset("paper", "return", task)) for task in ("steps", "highjump")}
+    for name in ("distil.robots", "pretrain.ppo.ppg.epochs", "pretrain.task.randomisation.reset_joint"):
+        assert found["steps"][name][1] == "ours", name
+    for name, task in (("command.heading_gain", "highjump"), ("randomisation.reset_yaw", "steps")):
+        other = "steps" if task == "highjump" else "highjump"
+        assert found[task][f"pretrain.task.{name}"][1] == "ours"
+        assert "legged_gym" in found[other][f"pretrain.task.{name}"][1]
+
+
+def test_choices_name_their_own_place() -> None:
+    said = {name: sources(Run(preset="paper", search=name).config()) for name in ("hyperopt-tpe", "random")}
+    assert said["hyperopt-tpe"]["search.method"][1] == "section IV-A2"
+    assert said["random"]["search.method"][1] == "ours"
+    costs = sources(preset("paper", "cost-of-transport", "steps"))
+    assert costs["finetune.specific_power"] == (-2.0, "ours")
+    stretched = Run(preset="paper", rule="stretch").config()
+    listed = {each.name: each.source for each in settings(stretched, body_factory(stretched.robot, stretched.bodies))}
+    assert listed["bodies.rule"] == "ours; paper by Table II"
 
 
 def test_the_papers_objective_is_its_return_unless_asked_otherwise() -> None:
@@ -58,12 +99,12 @@ def test_the_papers_objective_is_its_return_unless_asked_otherwise() -> None:
     assert Run().config().objective == "cost-of-transport"
 
 
-@pytest.mark.parametrize("task", ["steps", "hills", "slope", "highjump", "longjump", "flat"])
+@pytest.mark.parametrize("task", ["steps", "hills", "slope", "highjump", "longjump", "flat", "stones"])
 def test_dry_run_of_each_task_of_the_paper(codesign, task, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     code, output = codesign("run", "--preset", "paper", "--task", task, "--dry-run")
     assert code == 0, output
-    for words in ("6000", "section IV-B4", "Table I", "eq. 9", "3 such runs", "lite3" if "jump" in task else "go2"):
+    for words in ("6000", "section IV-B4", "Table I", "eq. 9", "3 such runs", preset("paper", None, task).robot):
         assert words in output
 
 
