@@ -117,7 +117,7 @@ def bind(folder: Path, config: Bound, what: str = "run") -> None:
     mine = to_dict(config)
     if path.exists():
         stored = read_stored(folder)
-        changes = differences(stored["config"], mine)
+        changes = differences(_completed(type(config), stored["config"]), mine)
         if changes:
             raise RunError(
                 f"{folder} holds a {what} with another configuration; choose another --folder or delete it.\n  "
@@ -132,6 +132,14 @@ def bind(folder: Path, config: Bound, what: str = "run") -> None:
         "provenance": provenance(),
     }
     write_text(path, yaml.safe_dump(content, sort_keys=False))
+
+
+def _completed(kind: type, settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Settings as this version writes them: those that the folder's version did not know have their defaults."""
+    try:
+        return to_dict(from_dict(kind, settings))
+    except (TypeError, ValueError):  # of a later version; the differences say which
+        return settings
 
 
 def read_config(folder: Path) -> RunConfig:

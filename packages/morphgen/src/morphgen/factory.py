@@ -201,6 +201,8 @@ class BodyFactory:
         return scale_bodies(self.robot, self.space.morphology(designs), self.rule, visuals=visuals)
 
     def _make(self, designs: Array) -> _Made:
+        with naming(self.source):
+            self.drive.torque_limits(self._nominal, self.layout)  # that every motor has one
         skeleton, collisions = articulate(self.robot, self._bodies(designs))
         stance = solve_stance(skeleton, collisions=collisions)
         nominal = (self._nominal, self._nominal_stance, designs, self.space.nominal)
