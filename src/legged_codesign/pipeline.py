@@ -23,7 +23,7 @@ from legged_codesign.run_folder import Files, bind
 from legged_codesign.run_log import LoggedConsole
 from legged_codesign.search import BodySearch, search_space
 from legged_codesign.stages import Stage, locked, run_stages, write_text
-from legged_codesign.student_run import StudentConfig, StudentRun, check_student
+from legged_codesign.student_run import StudentConfig, StudentRun, WaysOut, check_student
 from legged_codesign.study_place import check_study, place_study
 
 
@@ -82,7 +82,21 @@ def check(config: RunConfig, factory: BodyFactory) -> None:
     """
     search_space(config, factory)
     check_shipped(config, factory)
-    check_student(config.pretrain.task, config.distil, f"task '{config.task}'")
+    check_eyes(config)
+
+
+def check_eyes(config: RunConfig) -> None:
+    """Refuse a student that must see and does not, or that would look for a way where there is none.
+
+    Raises:
+        ValueError: says what to choose instead.
+    """
+    blind = "take --student depth, or leave --student out"
+    seeing = (
+        "take --student adapted, a course such as --task highjump, or --preset paper, whose policies are told a "
+        "heading on all ground"
+    )
+    check_student(config.pretrain.task, config.distil, f"task '{config.task}'", WaysOut(blind, seeing))
 
 
 class _Run:

@@ -262,24 +262,36 @@ class StudentRun:
         return replace(task, observation=replace(task.observation, history=0))
 
 
-def check_student(task: TaskConfig, config: DistilConfig, policy: str) -> None:
+@dataclass(frozen=True)
+class WaysOut:
+    """What a command says to do about a student whose eyes do not fit; the defaults are those of `codesign student`."""
+
+    blind: str = "add --depth"
+    """Where it must see."""
+    seeing: str = "leave --depth out, or take a policy for courses, such as lite3-parkour"
+    """Where there is nothing for it to find."""
+
+
+def check_student(task: TaskConfig, config: DistilConfig, policy: str, ways_out: WaysOut | None = None) -> None:
     """Refuse a student that cannot know the way, or that has no way to find.
 
     Args:
         task: of the teacher.
         config: the student.
         policy: name of the teacher, for messages.
+        ways_out: likewise, the options of the command.
 
     Raises:
         ValueError: says what to choose instead.
     """
+    ways_out = ways_out or WaysOut()
     led = len(heading_columns(task, 0)) > 0
     if led and not config.depth:
-        raise ValueError(f"{policy} is told the way to go, which no sensor gives: a student must see; add --depth")
+        raise ValueError(f"{policy} is told the way to go, which no sensor gives: a student must see; {ways_out.blind}")
     if config.depth and not led:
         raise ValueError(
-            f"{policy} follows commands alone and has no way to find: leave --depth out, or take a task or policy for "
-            "courses, such as lite3-parkour"
+            f"{policy} follows commanded velocities alone: its teacher is told no way to go, from which a student that "
+            f"sees would learn to find it; {ways_out.seeing}"
         )
 
 

@@ -90,7 +90,23 @@ def test_student_options() -> None:
     assert adapted.adapt is not None
     assert not adapted.depth
     assert Run(student="plain", task="hills").config().distil.adapt is None
-    assert Run(student="depth", task="hills").config().distil.depth
+    for preset_name, task in (("laptop", "highjump"), ("paper", "hills"), ("paper", "steps")):
+        assert Run(preset=preset_name, student="depth", task=task).config().distil.depth
+
+
+@pytest.mark.parametrize("task", ["flat", "hills", "steps", "slope"])
+@pytest.mark.parametrize("size", ["smoke", "laptop", "workstation"])
+def test_no_student_looks_for_a_way_that_its_teacher_is_not_told(size: str, task: str) -> None:
+    words = rf"task '{task}'.*told no way to go.*--student adapted, a course such as --task highjump, or --preset paper"
+    with pytest.raises(ValueError, match=words):
+        Run(preset=size, task=task, student="depth").config()  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("student", ["plain", "adapted"])
+def test_no_student_is_blind_where_its_teacher_is_told_the_way(student: str) -> None:
+    for size, task in (("laptop", "longjump"), ("paper", "hills")):
+        with pytest.raises(ValueError, match=rf"task '{task}'.*must see; take --student depth, or leave --student out"):
+            Run(preset=size, task=task, student=student).config()  # pyright: ignore[reportArgumentType]
 
 
 def test_another_simulator_reaches_every_training() -> None:

@@ -52,8 +52,8 @@ class Run(BodyOptions):
     hardware: bool = False
     """The bounds of the paper's search on hardware (section IV-C1): shanks alone, 1 to 1.4."""
     student: Literal["plain", "adapted", "depth"] | None = None
-    """plain: imitates the body's policy. adapted: estimator and ROA come first. depth: it sees, too. None: what suits
-    the task."""
+    """plain: imitates the body's policy. adapted: estimator and ROA come first. depth: it sees, too, where
+    policies are told a way to find: on courses, and with --preset paper. None: what suits the task."""
     search: SearchMethod = "codesign-bo"
     """What proposes bodies; the others are baselines (extra legged-codesign-bo[baselines])."""
     seed: int | None = None
@@ -104,7 +104,13 @@ class Run(BodyOptions):
         return self.robot or find_task(self.task).robot
 
     def config(self) -> RunConfig:
-        """The configuration that these options stand for."""
+        """The configuration that these options stand for.
+
+        Raises:
+            ValueError: an option is malformed, or the student does not fit the task.
+        """
+        from legged_codesign.pipeline import check_eyes
+
         config = preset(self.preset, self.objective, self.task)
         more_bounds, more_fixed = (HARDWARE_BOUNDS, HARDWARE_FIXED) if self.hardware else ((), ())
         numbers = {"trials": self.trials, "repeats": self.repeats}
@@ -130,6 +136,7 @@ class Run(BodyOptions):
             finetune=finetune,
             distil=distil,
         )
+        check_eyes(config)
         return config if self.simulator == "cpu" else on_simulator(config, SimulatorConfig(self.simulator, self.device))
 
     def machines(self) -> Machines:
