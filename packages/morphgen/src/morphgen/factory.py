@@ -133,6 +133,7 @@ class BodyFactory:
 
     def spec(self, design: ArrayLike, scene: mujoco.MjSpec | None = None) -> mujoco.MjSpec:
         """A fresh MuJoCo spec of one design (d,)."""
+        self._check_motors()
         made = self._make(self._one(design))
         return build_spec(made.skeleton, made.collisions, self.layout, self.drive, made.kp[0], made.kd[0], scene)
 
@@ -144,8 +145,9 @@ class BodyFactory:
             scene: the world to put the robot into, copied; None for a flat floor with a 5 ms time step.
 
         Raises:
-            MorphologyError: a design out of bounds; names row and parameter.
+            MorphologyError: a design out of bounds; names row and parameter. Or a motor without a torque limit.
         """
+        self._check_motors()
         checked = self.space.validated(designs)
         different, index = np.unique(checked, axis=0, return_inverse=True)
         if len(different) < len(checked):
@@ -200,9 +202,11 @@ class BodyFactory:
     def _bodies(self, designs: Array, *, visuals: bool = False) -> Bodies:
         return scale_bodies(self.robot, self.space.morphology(designs), self.rule, visuals=visuals)
 
-    def _make(self, designs: Array) -> _Made:
+    def _check_motors(self) -> None:
         with naming(self.source):
-            self.drive.torque_limits(self._nominal, self.layout)  # that every motor has one
+            self.drive.torque_limits(self._nominal, self.layout)
+
+    def _make(self, designs: Array) -> _Made:
         skeleton, collisions = articulate(self.robot, self._bodies(designs))
         stance = solve_stance(skeleton, collisions=collisions)
         nominal = (self._nominal, self._nominal_stance, designs, self.space.nominal)
