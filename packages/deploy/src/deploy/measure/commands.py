@@ -47,7 +47,7 @@ class Energy:
             _plot(accounts, self.out)
 
 
-def best_of(accounts: Sequence[EnergyAccount]) -> int:
+def cheapest_of(accounts: Sequence[EnergyAccount]) -> int:
     """Index of the body that costs least; runs that fell short only count where none was completed."""
     costs = [body.summary.cost_of_transport for body in accounts]
     by_distance = all(cost is not None for cost in costs)
@@ -63,12 +63,14 @@ def reference_of(accounts: Sequence[EnergyAccount]) -> int:
 
 
 def names(accounts: Sequence[EnergyAccount]) -> list[str]:
-    """A name for each: its log's, and whether it is the nominal or the best."""
-    best = best_of(accounts) if len(accounts) > 1 else None
-    return [
-        body.name + (", nominal" if body.nominal and body.summary.design else "") + (", best" if index == best else "")
-        for index, body in enumerate(accounts)
-    ]
+    """A name for each: its log's, and whether its body is the nominal one or the cheapest."""
+    cheapest = cheapest_of(accounts) if len(accounts) > 1 else None
+    named = []
+    for index, body in enumerate(accounts):
+        is_nominal = body.nominal and body.summary.design and body.name != "nominal"
+        notes = ["nominal"] * bool(is_nominal) + ["cheapest"] * (index == cheapest)
+        named.append(f"{body.name} ({', '.join(notes)})" if notes else body.name)
+    return named
 
 
 def warnings(accounts: Sequence[EnergyAccount]) -> list[str]:
@@ -147,7 +149,7 @@ def _plot(accounts: Sequence[EnergyAccount], out: Path) -> None:
 
     if out.suffix not in (".png", ".svg", ".pdf"):
         raise DeployError(f"{out}: a plot's name ends in .png, .svg or .pdf")
-    drawn = compared_power(accounts, names(accounts), body_colours(accounts, best_of(accounts)))
+    drawn = compared_power(accounts, names(accounts), body_colours(accounts, cheapest_of(accounts)))
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         drawn.savefig(out, dpi=150)
