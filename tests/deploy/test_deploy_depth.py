@@ -349,8 +349,18 @@ def test_without_pyrealsense2_the_error_says_what_to_install(monkeypatch):
         RealSenseDepth().start(WallClock())
 
 
+def test_a_pyrealsense2_without_its_system_library_names_it(monkeypatch, tmp_path):
+    (tmp_path / "pyrealsense2.py").write_text(
+        "raise ImportError('libusb-1.0.so.0: cannot open shared object file: No such file or directory')"
+    )
+    monkeypatch.delitem(sys.modules, "pyrealsense2", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(RobotError, match=r"libusb-1\.0\.so\.0.*apt install libusb-1\.0-0"):
+        RealSenseDepth().start(WallClock())
+
+
 def test_the_stand_in_has_the_names_of_pyrealsense2(monkeypatch):
-    rs = pytest.importorskip("pyrealsense2", reason="needs pyrealsense2: pip install 'legged-deploy[realsense]'")
+    rs = pytest.importorskip("pyrealsense2", reason="needs pyrealsense2 and the system's libusb", exc_type=ImportError)
     for name in ("stream.depth", "format.z16", "timestamp_domain.hardware_clock", "config.enable_device"):
         operator.attrgetter(name)(rs)
     operator.attrgetter("pipeline.try_wait_for_frames", "depth_sensor.get_depth_scale", "intrinsics.ppx")(rs)

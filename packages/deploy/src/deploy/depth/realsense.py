@@ -53,8 +53,13 @@ class RealSenseDepth:
         """
         try:
             import pyrealsense2
-        except ImportError as error:
+        except ModuleNotFoundError as error:
             raise RobotError("a RealSense camera needs pyrealsense2: pip install 'legged-deploy[realsense]'") from error
+        except ImportError as error:
+            raise RobotError(
+                f"pyrealsense2 cannot be loaded ({error}): install the system's library that it names, on Debian "
+                "`apt install libusb-1.0-0`"
+            ) from error
         self._rs, config = pyrealsense2, self._config
         streams = self._rs.config()
         if config.serial is not None:
