@@ -135,6 +135,20 @@ def test_the_command_prints_and_tells_by_its_status(tmp_path, capsys, monkeypatc
     assert main(["inspect", str(defects.write("clean", tmp_path)), "--hips", *hips]) == 0
 
 
+def test_the_command_says_which_joints_can_be_hips(tmp_path, capsys):
+    hips = [f"{leg}_hip_joint" for leg in defects.SIDES]
+    can_be = "hip joints can be " + ", ".join(f"'{hip}'" for hip in hips)
+    path = str(defects.write("five_legs", tmp_path))
+    for named, reason in (
+        (["arm0_joint", *hips[1:]], "'arm0_joint', named for FL (--hips)"),
+        ([*hips[:3], hips[0]], f"'{hips[0]}' is named for FL and for RR"),
+    ):
+        assert main(["inspect", path, "--hips", *named]) == 2
+        out = capsys.readouterr().out
+        assert reason in out
+        assert can_be in out
+
+
 def test_json_is_the_inspection(tmp_path, capsys):
     path = defects.write("continuous_joints", tmp_path)
     assert main(["inspect", str(path), "--json"]) == 0

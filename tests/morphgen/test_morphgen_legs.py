@@ -119,8 +119,77 @@ def test_hips_can_be_named(go2_tree, as_text):
     assert [leg.joints[0] for leg in turned.legs] == [
         leg.joints[0] for leg in find_legs(read_tree(as_text(go2_tree))).legs
     ][::-1]
-    with pytest.raises(MorphologyError, match=r"'nose' is no hip joint; joints on the trunk: FL_hip_joint"):
-        find_legs(read_tree(as_text(go2_tree)), hips | {"FL": "nose"})
+
+
+def arm_with_fingers(root):
+    """A revolute shoulder on the back and two fingers on the arm."""
+    for parent, name, kind, axis in (
+        ("base", "shoulder", "revolute", "0 0 1"),
+        ("shoulder_link", "left_finger", "prismatic", "0 1 0"),
+        ("shoulder_link", "right_finger", "prismatic", "0 1 0"),
+    ):
+        inertial = '<mass value="0.1"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/>'
+        root.append(etree.fromstring(f'<link name="{name}_link"><inertial>{inertial}</inertial></link>'))
+        ends = f'<parent link="{parent}"/><child link="{name}_link"/>'
+        limit = f'<axis xyz="{axis}"/><limit lower="-1" upper="1" effort="9" velocity="9"/>'
+        root.append(etree.fromstring(f'<joint name="{name}" type="{kind}">{ends}{limit}</joint>'))
+
+
+def arm_of_three(root):
+    """As many joints as a leg, but the first turns about the vertical."""
+    fifth_leg(root)
+    root.find("joint[@name='XX_hip_joint']/axis").set("xyz", "0 0 1")
+
+
+HIPS = {leg: f"{leg}_hip_joint" for leg in ("FL", "FR", "RL", "RR")}
+NO_HIPS = {
+    "no joint": (None, {"FL": "nose"}, "'nose', named for FL .*there is no such joint"),
+    "a knee": (None, {"RL": "RL_calf_joint"}, "'RL_calf_joint', named for RL .*not on the trunk"),
+    "a fixed joint": (None, {"RR": "RR_foot_joint"}, "'RR_foot_joint', named for RR .*it is fixed"),
+    "a gripper's arm": (arm_with_fingers, {"FR": "shoulder"}, "'shoulder', named for FR .*forks .*left_finger.*--lock"),
+    "an arm like a leg": (arm_of_three, {"FL": "XX_hip_joint"}, r"'XX_hip_joint', named for FL .*about \[0.* x .forw"),
+    "a leg on wheels": (wheel, {}, "'RR_hip_joint', named for RR .*3 actuated joints in a row.*RR_foot_joint"),
+    "a slider": (
+        set_attribute("joint[@name='RL_calf_joint']", type="prismatic"),
+        {},
+        "'RL_hip_joint', named for RL .*'RL_calf_joint': a prismatic joint",
+    ),
+    "one leg twice": (None, {"RR": "FR_hip_joint"}, "'FR_hip_joint' is named for FR and for RR"),
+}
+
+
+@pytest.mark.parametrize(("edit", "named", "message"), NO_HIPS.values(), ids=NO_HIPS.keys())
+def test_a_joint_that_is_no_hip_is_refused_with_those_that_can_be(go2_tree, as_text, edit, named, message):
+    """Hips that fit are named beside it, and those alone."""
+    if edit is not None:
+        edit(go2_tree)
+    with pytest.raises(MorphologyError, match=rf"^mine\.urdf: .*{message}") as refusal:
+        BodyFactory("mine", as_text(go2_tree), source="mine.urdf", hips=HIPS | named)
+    broken = {wheel: {"RR_hip_joint"}, NO_HIPS["a slider"][0]: {"RL_hip_joint"}}.get(edit, set())
+    offered = str(refusal.value).split("hip joints can be ")[1]
+    assert offered == ", ".join(f"'{hip}'" for hip in HIPS.values() if hip not in broken)
+
+
+def test_an_arm_beside_legs_that_are_named_is_not_forgotten(go2_tree, as_text):
+    """Its mass would be missing from the body."""
+    fifth_leg(go2_tree)
+    with pytest.raises(MorphologyError, match=r"XX_hip_joint - XX_thigh_joint - XX_calf_joint belong to none.*--lock"):
+        BodyFactory("mine", as_text(go2_tree), hips=HIPS)
+    arm = [f"XX_{joint}_joint" for joint in ("hip", "thigh", "calf")]
+    found = BodyFactory("mine", as_text(go2_tree), hips=HIPS, lock=arm)
+    assert found.layout.joints[::3] == tuple(HIPS.values())
+    arm_with_fingers(go2_tree)
+    with pytest.raises(MorphologyError, match=r"forks into the joints 'left_finger', 'right_finger'.*--lock"):
+        BodyFactory("mine", as_text(go2_tree), hips=HIPS, lock=arm)
+
+
+def test_legs_that_are_not_found_in_four_quarters_are_named(go2_tree, as_text):
+    """Go2 with a front right hip so far to the left that two legs are front left."""
+    set_attribute("joint[@name='FR_hip_joint']/origin", xyz="0.2 0.3 0")(go2_tree)
+    tree = read_tree(as_text(go2_tree))
+    with pytest.raises(MorphologyError, match=r"--hips FL FR RL RR, hips=\{'FL': \.\.\., \.\.\.\}"):
+        find_legs(tree)
+    assert [tree.joints[leg.joints[0]].name for leg in find_legs(tree, HIPS).legs] == list(HIPS.values())
 
 
 def test_a_foot_is_made_from_the_end_of_the_shank(go2_tree, as_text):

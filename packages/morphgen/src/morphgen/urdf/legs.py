@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +12,8 @@ from morphgen.urdf.tree import ACTUATED, Array, Tree
 
 QUARTERS = ("FL", "FR", "RL", "RR")
 """Front left, front right, rear left, rear right: the order of legs everywhere."""
+_ABOUT = 0.9
+"""Least cosine between a hip's axis and x; how exact it must be is the stance's to say."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,21 @@ class Part:
     def root(self) -> int:
         """Index of the root link."""
         return self.links[0]
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Moving joints, and the part beyond each, from a joint on the trunk outwards to a leaf or a fork.
+
+    Attributes:
+        joints: their indices.
+        parts: as many.
+        fork: indices of the joints after the last part; none, or several.
+    """
+
+    joints: tuple[int, ...]
+    parts: tuple[Part, ...]
+    fork: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -89,22 +106,13 @@ def find_legs(tree: Tree, hips: Mapping[str, str] | None = None) -> LegMap:
         hips: hip joint of each of `QUARTERS`, for a robot whose legs are not found by their place.
 
     Raises:
-        MorphologyError: no such legs; names what was found instead and the remedy.
+        MorphologyError: no such legs, or `hips` names joints that are none; names what was found instead and the
+            remedy.
     """
     trunk = _part(tree, _base(tree))
     chains = [_chain(tree, joint) for joint in _next_joints(tree, trunk)]
-    if hips is not None:
-        if set(hips) != set(QUARTERS):
-            raise MorphologyError(f"hip joints are needed for {', '.join(QUARTERS)}, got {', '.join(hips)}")
-        by_hip = {tree.joints[chain[0][0]].name: chain for chain in chains}
-        for name in hips.values():
-            if name not in by_hip:
-                raise MorphologyError(f"'{name}' is no hip joint; joints on the trunk: {', '.join(by_hip) or 'none'}")
-        chains = [by_hip[hips[quarter]] for quarter in QUARTERS]
-    _require_four(tree, trunk, chains)
-    order = range(4) if hips is not None else _quarters(tree, trunk, chains)
-    legs = tuple(_leg(tree, k, *chains[i]) for k, i in enumerate(order))
-    return LegMap(trunk, legs)  # pyright: ignore[reportArgumentType]
+    legs = _by_place(tree, trunk, chains) if hips is None else _by_name(tree, trunk, chains, hips)
+    return LegMap(trunk, tuple(_leg(tree, k, chain) for k, chain in enumerate(legs)))  # pyright: ignore[reportArgumentType]
 
 
 def _base(tree: Tree) -> int:
@@ -134,79 +142,129 @@ def _next_joints(tree: Tree, part: Part) -> list[int]:
     return [j for j, joint in enumerate(tree.joints) if joint.parent in part.links and joint.kind != "fixed"]
 
 
-def _chain(tree: Tree, first: int) -> tuple[list[int], list[Part]]:
-    """Moving joints and parts from a joint outwards, up to a leaf or a fork."""
+def _chain(tree: Tree, first: int) -> _Chain:
     joints, parts = [first], [_part(tree, tree.joints[first].child)]
     while len(following := _next_joints(tree, parts[-1])) == 1:
         joints += following
         parts.append(_part(tree, tree.joints[following[0]].child))
-    if following:
-        names = ", ".join(f"'{tree.joints[j].name}'" for j in following)
-        raise MorphologyError(
-            f"link '{tree.links[parts[-1].root].name}' forks into the joints {names}; a leg has one joint after "
-            "the other: lock the surplus ones (--lock)"
-        )
-    return joints, parts
+    return _Chain(tuple(joints), tuple(parts), tuple(following))
 
 
-def _require_four(tree: Tree, trunk: Part, chains: list[tuple[list[int], list[Part]]]) -> None:
-    def names(joints: list[int]) -> str:
-        return " - ".join(tree.joints[j].name for j in joints)
+def _names(tree: Tree, joints: Sequence[int]) -> str:
+    return " - ".join(tree.joints[j].name for j in joints)
 
-    for joints, _ in chains:
-        for j in joints:
-            if tree.joints[j].kind not in ACTUATED:
-                raise MorphologyError(
-                    f"joint '{tree.joints[j].name}': a {tree.joints[j].kind} joint has no place in a leg; "
-                    "lock it (--lock)"
-                )
-    base = tree.links[trunk.root].name
-    wrong = [joints for joints, _ in chains if len(joints) != 3]
-    if wrong:
-        advice = (
-            "lock wheels or surplus joints (--lock)"
-            if len(wrong[0]) > 3
-            else "lock it if it is no leg (--lock); legs of fewer joints are not supported"
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(f"'{name}'" for name in names) or "none"
+
+
+def _problem(tree: Tree, trunk: Part, chain: _Chain) -> str | None:
+    """Why a chain is no leg; None if it can be one."""
+    if chain.fork:
+        return (
+            f"link '{tree.links[chain.parts[-1].root].name}' forks into the joints "
+            f"{_listed(tree.joints[j].name for j in chain.fork)}; a leg has one joint after the other: lock the "
+            "surplus ones (--lock)"
         )
-        raise MorphologyError(
-            f"a leg has 3 actuated joints in a row (hip, thigh, knee); the chain on '{base}' is {names(wrong[0])}: "
-            + advice
-        )
+    for joint in (tree.joints[j] for j in chain.joints):
+        if joint.kind not in ACTUATED:
+            return f"joint '{joint.name}': a {joint.kind} joint has no place in a leg; lock it (--lock)"
+    if len(chain.joints) == 3:
+        return None
+    advice = (
+        "lock wheels or surplus joints (--lock)"
+        if len(chain.joints) > 3
+        else "lock it if it is no leg (--lock); legs of fewer joints are not supported"
+    )
+    return (
+        f"a leg has 3 actuated joints in a row (hip, thigh, knee); the chain on '{tree.links[trunk.root].name}' is "
+        f"{_names(tree, chain.joints)}: {advice}"
+    )
+
+
+def _by_name(tree: Tree, trunk: Part, chains: Sequence[_Chain], hips: Mapping[str, str]) -> list[_Chain]:
+    """The chains whose first joints are named, in the order of `QUARTERS`."""
+    if set(hips) != set(QUARTERS):
+        raise MorphologyError(f"hip joints are needed for {', '.join(QUARTERS)}, got {', '.join(hips)}")
+    starting = {tree.joints[chain.joints[0]].name: chain for chain in chains}
+    problems = {name: _no_hip(tree, trunk, chain) for name, chain in starting.items()}
+    can_be = f"hip joints can be {_listed(name for name, problem in problems.items() if problem is None)}"
+    quarters: dict[str, str] = {}
+    for quarter in QUARTERS:
+        name = hips[quarter]
+        problem = problems[name] if name in problems else _elsewhere(tree, name)
+        if problem is not None:
+            raise MorphologyError(f"'{name}', named for {quarter} (--hips), is no hip joint: {problem}; {can_be}")
+        if name in quarters:
+            raise MorphologyError(
+                f"hip joint '{name}' is named for {quarters[name]} and for {quarter} (--hips); {can_be}"
+            )
+        quarters[name] = quarter
+    for name, chain in starting.items():
+        if name not in quarters:
+            raise MorphologyError(
+                _problem(tree, trunk, chain)
+                or f"the joints {_names(tree, chain.joints)} belong to none of the legs that are named (--hips); "
+                "lock them (--lock)"
+            )
+    return [starting[hips[quarter]] for quarter in QUARTERS]
+
+
+def _no_hip(tree: Tree, trunk: Part, chain: _Chain) -> str | None:
+    """Why the first joint of a chain is no hip; None if it can be one."""
+    joint = tree.joints[chain.joints[0]]
+    axis = trunk.rotation[trunk.links.index(joint.parent)] @ joint.rotation @ joint.axis
+    if len(chain.joints) == 3 and joint.kind in ACTUATED and abs(axis[0]) < _ABOUT:
+        return f"it turns about {np.round(axis, 4)} of the base, a hip joint about x (forward)"
+    return _problem(tree, trunk, chain)
+
+
+def _elsewhere(tree: Tree, name: str) -> str:
+    """Why a joint that is no moving one on the trunk is no hip."""
+    if name not in {joint.name for joint in tree.joints}:
+        return "there is no such joint"
+    return "it is fixed" if tree.joints[tree.joint(name)].kind == "fixed" else "it is not on the trunk"
+
+
+def _by_place(tree: Tree, trunk: Part, chains: Sequence[_Chain]) -> list[_Chain]:
+    """The four chains in the order of `QUARTERS`, by the places of their thigh joints."""
+    for problem in (_problem(tree, trunk, chain) for chain in chains):
+        if problem is not None:
+            raise MorphologyError(problem)
     if len(chains) != 4:
-        found = "; ".join(names(joints) for joints, _ in chains) or "none"
+        found = "; ".join(_names(tree, chain.joints) for chain in chains) or "none"
         raise MorphologyError(
-            f"expected 4 legs on link '{base}', found {len(chains)}: {found}"
+            f"expected 4 legs on link '{tree.links[trunk.root].name}', found {len(chains)}: {found}"
             + ("; lock the joints of an arm (--lock)" if len(chains) > 4 else "")
         )
-
-
-def _quarters(tree: Tree, trunk: Part, chains: list[tuple[list[int], list[Part]]]) -> list[int]:
-    """Which chain is in each of `QUARTERS`, by the place of its thigh joint."""
-    places = []
-    for joints, parts in chains:
-        hip, thigh = tree.joints[joints[0]], tree.joints[joints[1]]
-        i, k = trunk.links.index(hip.parent), parts[0].links.index(thigh.parent)
-        inside = parts[0].position[k] + parts[0].rotation[k] @ thigh.position
-        at_hip = hip.position + hip.rotation @ inside
-        places.append(trunk.position[i] + trunk.rotation[i] @ at_hip)
+    places = [_thigh_place(tree, trunk, chain) for chain in chains]
     offset = np.array(places) - np.mean(places, axis=0)
     sides = [(bool(x > 0), bool(y > 0)) for x, y, _ in offset]
     wanted = [(True, True), (True, False), (False, True), (False, False)]
     if sorted(sides) != sorted(wanted):
         rows = ", ".join(
-            f"'{tree.joints[joints[0]].name}' at ({place[0]:.3f}, {place[1]:.3f})"
-            for (joints, _), place in zip(chains, places, strict=True)
+            f"'{tree.joints[chain.joints[0]].name}' at ({place[0]:.3f}, {place[1]:.3f})"
+            for chain, place in zip(chains, places, strict=True)
         )
         raise MorphologyError(
             f"the legs do not lie in the four quarters of the base frame, x forward and y left: {rows}; turn the "
-            "base frame or name the hip joint of each quarter"
+            f"base frame or name the hip joint of each quarter (--hips {' '.join(QUARTERS)}, "
+            f"hips={{'{QUARTERS[0]}': ..., ...}})"
         )
-    return [sides.index(side) for side in wanted]
+    return [chains[sides.index(side)] for side in wanted]
 
 
-def _leg(tree: Tree, quarter: int, joints: list[int], parts: list[Part]) -> Leg:
+def _thigh_place(tree: Tree, trunk: Part, chain: _Chain) -> Array:
+    """(3,) place of the thigh joint in the base frame [m]."""
+    hip, thigh = (tree.joints[j] for j in chain.joints[:2])
+    i, k = trunk.links.index(hip.parent), chain.parts[0].links.index(thigh.parent)
+    inside = chain.parts[0].position[k] + chain.parts[0].rotation[k] @ thigh.position
+    return trunk.position[i] + trunk.rotation[i] @ (hip.position + hip.rotation @ inside)
+
+
+def _leg(tree: Tree, quarter: int, chain: _Chain) -> Leg:
     name = QUARTERS[quarter]
-    hip, thigh, knee = joints
+    (hip, thigh, knee), parts = chain.joints, chain.parts
     return Leg(
         name[0] == "F", name[1] == "L", (hip, thigh, knee), (parts[0], parts[1], parts[2]), _foot(tree, parts[2])
     )
