@@ -92,7 +92,7 @@ def check_shipped(config: RunConfig, factory: BodyFactory) -> None:
             "--from-scratch trains one for it"
         )
     try:
-        load_policy(shipped_generalist(config)).check_space(factory.name, factory.space)
+        load_policy(shipped_generalist(config)).check_bodies(factory, "train one for these")
     except ValueError as error:
         raise ValueError(f"{error}: --from-scratch does") from error
 

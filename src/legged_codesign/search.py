@@ -174,7 +174,7 @@ class BodySearch:
 
     def _generalist(self) -> Policy:
         policy = load_policy(self.files.generalist)
-        policy.check_space(self.factory.name, self.factory.space)
+        policy.check_bodies(self.factory, "choose another --folder")
         return policy
 
     def _callback(self) -> Callback:

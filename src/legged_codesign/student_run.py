@@ -144,7 +144,9 @@ class StudentRun:
 
     def _check(self, generalist: Policy) -> None:
         """Refuse at once what would fail after minutes of work."""
-        generalist.check_space(self.factory.name, self.factory.space)
+        generalist.check_bodies(
+            self.factory, "choose its rule, gains, kp and kd as in its training (--rule, --gains, --kp, --kd)"
+        )
         check_student(generalist.card.task, self.config.distil, f"'{self.config.policy}'")
 
     def adapt(self) -> None:

@@ -17,7 +17,8 @@ from deploy.interfaces import JointCommand, RobotState
 from deploy.policy.observation import ObservationBuilder
 from deploy.robots.mujoco_robot import MujocoRobot
 from locorl import LeggedEnv, Policy, TaskConfig, no_randomisation, sample_designs
-from morphgen import BodyFactory
+from locorl.bodies.family import BodyFamily
+from morphgen import BodyFactory, GainRule, load_robot
 
 from legged_codesign.bundle import bundle_spec
 
@@ -109,6 +110,24 @@ def test_go2_satisfies_locorl(go2: BodyFactory) -> None:
     assert all(values.isfinite().all() for values in obs.values())
     assert env.weight.numpy() == pytest.approx(9.81 * go2.batch(designs).total_mass, rel=1e-6)
     assert len(set(env.weight.tolist())) == 4
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"rule": "stretch"}, "scaling: paper in its training, stretch here"),
+        ({"gains": GainRule("mass")}, "gains: none in its training, mass here"),
+        (
+            {"gains": GainRule("polynomial", (2.0,) + (0.0,) * 14)},
+            r"polynomial \(2\.0, .*; kp: 40 .* 80 here; kd: 0\.7 .* 1\.4 h",
+        ),
+    ],
+)
+def test_a_policy_knows_rules_and_gains_of_morphgens_bodies(untrained: Policy, options: dict, words: str) -> None:
+    assert untrained.card.family == BodyFamily({"scaling": "paper", "gains": "none"}, (40.0,) * 12, (0.7,) * 12)
+    untrained.check_bodies(load_robot("go2"))
+    with pytest.raises(ValueError, match=words):
+        untrained.check_bodies(load_robot("go2", **options))
 
 
 # ---------------------------------------------------------------- the bundle against the environment

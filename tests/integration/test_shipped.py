@@ -44,7 +44,7 @@ def provenance(home: Path) -> dict:
 
 
 def test_generalist_is_for_the_whole_design_space(generalist: Policy, robot: BodyFactory) -> None:
-    generalist.check_space(robot.name, robot.space)
+    generalist.check_bodies(robot)
     card = generalist.card
     assert (card.design_low, card.design_high) == ((0.6,) * 4, (1.4,) * 4)
 

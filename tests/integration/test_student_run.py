@@ -35,6 +35,7 @@ from legged_codesign.adapt import Adaptation, AdaptConfig, heading_columns
 from legged_codesign.commands import student
 from legged_codesign.config import DistilConfig
 from legged_codesign.pretrained import shipped
+from legged_codesign.robots import BodyConfig
 from legged_codesign.scene import training_scene
 from legged_codesign.stages import RunError
 from legged_codesign.student_run import StudentConfig, StudentRun
@@ -158,7 +159,7 @@ def test_a_seeing_student_of_the_shipped_parkour_policy(tmp_path: Path) -> None:
     assert set(found["means"]["student"]["terrain"]) == {"hurdles"}
 
 
-def test_what_cannot_work_is_refused_before_anything_starts(tmp_path: Path) -> None:
+def test_what_cannot_work_is_refused_before_anything_starts(tmp_path: Path, untrained: Policy) -> None:
     with pytest.raises(ValueError, match="must see; add --depth"):
         StudentRun(replace(DEPTH, distil=DISTIL), tmp_path / "a")
     with pytest.raises(ValueError, match="leave --depth out"):
@@ -167,9 +168,13 @@ def test_what_cannot_work_is_refused_before_anything_starts(tmp_path: Path) -> N
         StudentRun(replace(TINY, robot="lite3"), tmp_path / "a")
     with pytest.raises(ValueError, match="not in"):
         StudentRun(replace(TINY, design=(3.0, 1.0, 1.0, 1.0)), tmp_path / "a")
+    untrained.save(tmp_path / "mine.pt")
+    mine = replace(TINY, policy=str(tmp_path / "mine.pt"))
+    with pytest.raises(ValueError, match=r"gains: none in its training, mass here.*--rule, --gains, --kp, --kd"):
+        StudentRun(replace(mine, bodies=BodyConfig(gains="mass")), tmp_path / "x")
     with pytest.raises(FileNotFoundError, match=r"there is: .*go2-flat"):
         StudentRun(replace(TINY, policy="go2-moon"), tmp_path / "a")
-    assert not list(tmp_path.iterdir())
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.pt"]
 
 
 def test_the_command_stands_for_a_configuration(monkeypatch: pytest.MonkeyPatch) -> None:

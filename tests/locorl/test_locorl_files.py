@@ -15,10 +15,12 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from locorl import CheckpointError, FinetuneConfig, TaskConfig, TrainConfig, checkpoint, load_policy, table_i
+from locorl.bodies.family import BodyFamily
 from locorl.config import config_hash, differences, from_dict, to_dict
 from locorl.learning.policy import PolicyCard
 from locorl.training.metrics import MetricsFile, TrainingProgress, read_metrics
 
+CARD = PolicyCard("box", ("a", "b"), (0.5, 0.6), (1.0, 2.0), {"proprio": 3}, TaskConfig(), TrainConfig().network, 7, 1)
 positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
 
 
@@ -36,9 +38,8 @@ def test_a_configuration_comes_back(config):
         replace(TrainConfig(), task=TaskConfig(reward=table_i())),  # no cap
         FinetuneConfig(command_vx=(0.6, 0.6), specific_power=-1.0),
         FinetuneConfig(),
-        PolicyCard(
-            "box", ("a", "b"), (0.5, 0.6), (1.0, 2.0), {"proprio": 3}, TaskConfig(), TrainConfig().network, 7, 1
-        ),
+        CARD,
+        replace(CARD, family=BodyFamily({"scaling": "paper"}, (40.0,) * 12, (0.5, 0.7) * 6)),
     ],
 )
 def test_nested_fields_and_tuples_come_back(config):

@@ -91,7 +91,7 @@ def test_a_card_of_format_1_keeps_the_meaning_of_every_weight(tmp_path):
     assert all(torch.equal(old["model"][name], value) for name, value in policy.model.state_dict().items())
 
     policy.save(tmp_path / "new.pt")
-    assert checkpoint.load(tmp_path / "new.pt")["card_format"] == 3
+    assert checkpoint.load(tmp_path / "new.pt")["card_format"] == 4
     assert load_policy(tmp_path / "new.pt").card == policy.card
 
 
@@ -107,7 +107,7 @@ def test_a_card_of_format_2_earned_nothing_by_terms_that_came_later(tmp_path):
         (content({"bonus": 1.0}), r"RewardConfig has no field \['bonus'\]"),
         (content({"torque": -1e-5}, card_format=2), r"RewardConfig has no field \['torque'\]"),
         (content({"torque": -1e-5}, card_format=3), r"RewardConfig has no field \['torque'\]"),
-        (content({}, card_format=4), r"card has format 4, this version reads up to 3; update locorl"),
+        (content({}, card_format=5), r"card has format 5, this version reads up to 4; update locorl"),
     ],
 )
 def test_other_cards_are_refused(tmp_path, policy, complaint):

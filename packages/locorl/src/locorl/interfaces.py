@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -153,4 +153,14 @@ class BodyFactory(Protocol):
 
     def batch(self, designs: Array, scene: mujoco.MjSpec | None = None) -> BodyBatch:
         """Bodies of `designs` (n, d) placed in a copy of `scene`."""
+        ...
+
+
+@runtime_checkable
+class Ruled(Protocol):
+    """A body factory that says what its bodies follow from besides their designs."""
+
+    @property
+    def rules(self) -> Mapping[str, str]:
+        """Choices by name, such as `scaling` and `gains`: with others, the same design is another body."""
         ...

@@ -112,6 +112,13 @@ class BodyFactory:
         self.drive = drive
         self.layout = make_layout(name, self.robot.tree, self.robot.leg_map, self._nominal)
 
+    @property
+    def rules(self) -> Mapping[str, str]:
+        """What bodies follow from besides their designs, by name: the rules of scaling and of gains."""
+        coefficients = self.gains.coefficients
+        gains = f"{self.gains.kind} {coefficients}" if coefficients else self.gains.kind
+        return {"scaling": self.rule, "gains": gains}
+
     def _read(self, urdf: str, repair: bool, lock: Collection[str], hips: Mapping[str, str] | None) -> None:
         self.robot, self.notes = prepare(urdf, self.source, self.meshes, repair=repair, lock=lock, hips=hips)
         self._links = nominal_bodies(self.robot.tree)

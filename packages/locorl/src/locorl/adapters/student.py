@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from locorl.bodies.family import BodyFamily
 from locorl.env.legged_env import LeggedEnv
 from locorl.interfaces import Array
 
@@ -74,7 +75,8 @@ class StudentEnv:
     def signature(self) -> dict[str, object]:
         """What the robots must have in common with those that a policy was trained on: name -> value."""
         factory = self.env.factory
-        return {"robot": factory.name, "design": tuple(factory.space.names), **self.env.task.interface}
+        family = BodyFamily.of(factory).signature
+        return {"robot": factory.name, "design": tuple(factory.space.names), **family, **self.env.task.interface}
 
     def reset(self, seed: int | None = None) -> dict[str, Tensor]:
         """Start every robot, the cameras and the curriculum afresh; None draws a seed. Returns the observation."""

@@ -124,7 +124,7 @@ class Compare:
         designs = sample_designs(factory, self.bodies, np.random.default_rng(self.evaluation.seed))
 
         def score(policy: Policy) -> Scores:
-            policy.check_space(factory.name, factory.space)
+            policy.check_bodies(factory, "runs on different bodies do not compare; evaluate each on its own")
             result = evaluate(policy, factory, designs, task, self.evaluation)
             return scores_of(result, self.measure, policy.card.samples, protocol)
 

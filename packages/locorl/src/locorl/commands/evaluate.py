@@ -44,6 +44,8 @@ class Evaluate:
     """A policy.pt or checkpoint.pt."""
     robot: str = "go2"
     """An installed robot, or the path of a .urdf."""
+    adopt: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Take the policy on even if it was trained on bodies with other rules or gains."""
     bodies: int = 100
     """Feasible bodies drawn from the design space with --evaluation.seed."""
     grid: int | None = None
@@ -63,7 +65,8 @@ class Evaluate:
     def run(self) -> None:
         """Evaluate and print."""
         factory, policy = find_factory(self.robot), load_policy(self.checkpoint)
-        policy.check_space(factory.name, factory.space)
+        policy = policy.adopted(factory) if self.adopt else policy
+        policy.check_bodies(factory)
         check_plot(self.plot)
         if self.design is not None:
             designs = np.asarray(self.design)[None]

@@ -33,6 +33,8 @@ class Finetune:
     """Design parameters in the order of the design space."""
     robot: str = "go2"
     """An installed robot, or the path of a .urdf."""
+    adopt: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Take the generalist on even if it was trained on bodies with other rules or gains."""
     seed: int = 0
     """Of everything random in the fine-tune."""
     config: FinetuneConfig = field(default_factory=FinetuneConfig)
@@ -53,7 +55,9 @@ class Finetune:
         check_plot(self.plot)
         factory = find_factory(self.robot)
         design = np.asarray(self.design)
-        tuned = finetune(self.checkpoint, factory, design, config, self.seed, self.folder, quiet=False)
+        tuned = finetune(
+            self.checkpoint, factory, design, config, self.seed, self.folder, quiet=False, adopt=self.adopt
+        )
         tuned.policy.save(self.folder / "policy.pt")
         # both by the reward that the fine-tune is about
         task, generalist = tuned.policy.card.task, load_policy(self.checkpoint)

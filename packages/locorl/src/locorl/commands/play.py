@@ -29,6 +29,8 @@ class Play:
     """An installed robot, or the path of a .urdf."""
     policy: str = "stand"
     """stand, random, or the path of a policy.pt or checkpoint.pt."""
+    adopt: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Take the policy on even if it was trained on bodies with other rules or gains."""
     design: tuple[float, ...] | None = None
     """Design parameters in the order of the design space; the nominal body by default."""
     bodies: int = 1
@@ -61,6 +63,7 @@ class Play:
         choice = Choice(
             robot=self.robot,
             policy=self.policy,
+            adopt=self.adopt,
             task=self.task,
             preset=self.preset,
             level=self.level,

@@ -43,6 +43,8 @@ class Train:
     """Preset of the task named by --task."""
     start: Path | None = None
     """Policy to go on from, for instance with other reward weights; the optimiser starts fresh."""
+    adopt: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Take the policy of --start on even if it was trained on bodies with other rules or gains."""
     regulariser: RegulariserName | None = None
     """What keeps the critic from overfitting; the same as --ppo.regulariser."""
     mirror: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -73,6 +75,8 @@ class Train:
     def _train(self, factory: BodyFactory, group: Processes | None) -> None:
         config = self._config()
         start = None if self.start is None else load_policy(self.start)
+        if start is not None and self.adopt:
+            start = start.adopted(factory)
         watchers = self._watchers() if group is None or group.first else []
         threads = None if group is None else max(1, available_cores() // _processes_here())
         trainer = Trainer(factory, config, self.folder, start=start, threads=threads, group=group)

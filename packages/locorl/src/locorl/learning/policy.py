@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,15 @@ import torch
 from torch import Tensor, nn
 
 from locorl import checkpoint
+from locorl.bodies.family import BodyFamily
 from locorl.config import from_dict, to_dict
-from locorl.interfaces import DesignSpace
+from locorl.interfaces import BodyFactory, DesignSpace
 from locorl.learning.networks import ActorCritic, NetworkConfig
 from locorl.tasks.task import TaskConfig
 
-CARD_FORMAT = 3
-"""Format of the cards that this version writes; it reads format 1 too, which named reward terms otherwise, and
-format 2, which lacks some."""
+CARD_FORMAT = 4
+"""Format of the cards that this version writes; it reads format 1 too, which named reward terms otherwise, format 2,
+which lacks some, and format 3, which does not tell the family of bodies."""
 
 _TERMS_RENAMED = {
     "linear_velocity": "linear_velocity_tracking",
@@ -48,6 +49,7 @@ class PolicyCard:
         network: sizes.
         samples: environment steps that it was trained on.
         seed: seed of the training.
+        family: rules and gains of its bodies; None where the file does not tell.
     """
 
     robot: str
@@ -59,6 +61,7 @@ class PolicyCard:
     network: NetworkConfig
     samples: int
     seed: int
+    family: BodyFamily | None = None
 
 
 class Policy:
@@ -125,7 +128,9 @@ class Policy:
     @property
     def signature(self) -> dict[str, object]:
         """What it must have in common with the robots that it controls: name -> value."""
-        return {"robot": self.card.robot, "design": self.card.design_names, **self.card.task.interface}
+        card = self.card
+        family = {} if card.family is None else card.family.signature
+        return {"robot": card.robot, "design": card.design_names, **family, **card.task.interface}
 
     def check_space(self, robot: str, space: DesignSpace) -> None:
         """Refuse a robot or a design space that the policy was not trained on.
@@ -138,6 +143,36 @@ class Policy:
                 f"this policy was trained on '{self.card.robot}' with design parameters {self.card.design_names}; "
                 f"it cannot control '{robot}' with {tuple(space.names)}: train one for it"
             )
+
+    def check_bodies(
+        self,
+        factory: BodyFactory,
+        way_out: str = "make its bodies as then, or take the policy on as it is (--adopt, Policy.adopted)",
+    ) -> None:
+        """Refuse what `check_space` does, and bodies that follow from other rules or have other gains.
+
+        What a policy of an earlier format does not tell is not checked.
+
+        Args:
+            factory: makes the bodies.
+            way_out: what to do about another family, in the words of the caller.
+
+        Raises:
+            ValueError: naming both.
+        """
+        self.check_space(factory.name, factory.space)
+        if self.card.family is None:
+            return
+        changes = self.card.family.differences(BodyFamily.of(factory))
+        if changes:
+            raise ValueError(
+                f"this policy was trained on other bodies of '{factory.name}' than these "
+                f"({'; '.join(changes)}): {way_out}"
+            )
+
+    def adopted(self, factory: BodyFactory) -> Policy:
+        """The same policy for bodies of another family: their rules and gains are taken as those of its training."""
+        return Policy(self.model, replace(self.card, family=BodyFamily.of(factory)))
 
     def content(self) -> dict[str, Any]:
         """The policy as checkpoint content."""
@@ -178,7 +213,7 @@ def _current_card(content: Mapping[str, Any]) -> Mapping[str, Any]:
     card, card_format = content["card"], content.get("card_format", 1)
     if card_format > CARD_FORMAT:
         raise ValueError(f"its card has format {card_format}, this version reads up to {CARD_FORMAT}; update locorl")
-    if card_format == CARD_FORMAT:
+    if card_format >= 3:  # since then it only tells more
         return card
     reward = dict(card["task"]["reward"])
     if card_format == 1:

@@ -84,7 +84,7 @@ def make_actor(policy: str, seed: int = 0) -> Actor:
 
 
 def check_fits(actor: Actor, env: LeggedEnv) -> None:
-    """Refuse a policy whose robot, observations or actions are not those of `env`.
+    """Refuse a policy whose robot, rules, gains, observations or actions are not those of `env`.
 
     Raises:
         ValueError: naming both.
@@ -92,7 +92,7 @@ def check_fits(actor: Actor, env: LeggedEnv) -> None:
     if not isinstance(actor, Policy):
         return
     card = actor.card
-    actor.check_space(env.factory.name, env.factory.space)
+    actor.check_bodies(env.factory)
     if dict(card.dims) != dict(env.group_dims):
         raise ValueError(
             f"this policy observes {dict(card.dims)}, as in task '{card.task.name}'; task '{env.task.name}' gives "

@@ -31,6 +31,7 @@ class Choice:
     Attributes:
         robot: an installed robot, or the path of a .urdf.
         policy: `stand`, `random`, or the path of a policy.
+        adopt: whether a policy is taken that was trained on bodies with other rules or gains.
         task: name of a task; None for that of the policy, or `locomotion-flat`.
         preset: of the task.
         level: of the terrain; 0 is the easiest. Flat ground has no levels.
@@ -51,6 +52,7 @@ class Choice:
     command: Command | None = None
     camera: bool = False
     seed: int = 0
+    adopt: bool = False
 
     def start(self) -> Session:
         """Robots ready to play.
@@ -64,6 +66,8 @@ class Choice:
             raise ValueError(f"a command is three finite numbers: forward, left, turn; got {self.command}")
         actor = make_actor(self.policy, self.seed)
         factory = find_factory(self.robot)
+        if self.adopt and isinstance(actor, Policy):
+            actor = actor.adopted(factory)
         task = at_level(calm(self._task(actor)), self.level)
         if self.camera and task.camera is None:
             task = replace(task, camera=DepthConfig.small())

@@ -127,6 +127,7 @@ def finetune(
     threads: int | None = None,
     hooks: Sequence[RolloutHook] = (),
     attach: Callable[[ActorCritic], object] | None = None,
+    adopt: bool = False,
 ) -> Finetuned:
     """Fine-tune `generalist` on one body; the generalist itself is not changed.
 
@@ -144,14 +145,17 @@ def finetune(
         threads: simulation threads; None takes those of `config.simulator`.
         hooks: learnt beside the policy, such as an estimator of the velocity; they go on where `folder` stopped.
         attach: given the networks in training before it begins, for hooks that need one of them.
+        adopt: take the generalist on even if it was trained on bodies with other rules or gains.
 
     Raises:
-        ValueError: the design is out of bounds or the body has no stance.
+        ValueError: the design is out of bounds, the body has no stance, or the generalist was trained on other bodies
+            (see `Policy.check_bodies`).
         checkpoint.CheckpointError: `config.optimizer` is "keep", and the generalist comes without its optimiser's
             state; or `folder` holds another fine-tune.
         ppo.DivergedError: training produced NaN.
     """
     start, learner = _read(generalist, config)
+    start = start.adopted(factory) if adopt else start
     candidates = _read_candidates(folder)
     train = TrainConfig(
         num_envs=config.num_envs,

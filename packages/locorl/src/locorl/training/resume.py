@@ -61,7 +61,7 @@ def read_checkpoint(path: Path, config: TrainConfig, quiet: bool = False) -> Map
 
 
 def check_origin(content: Mapping[str, Any], card: PolicyCard, samples: int, folder: Path | None) -> None:
-    """Refuse a checkpoint of another robot, or of a run that started from another policy.
+    """Refuse a checkpoint of another robot or family of bodies, or of a run that started from another policy.
 
     Args:
         content: of the checkpoint.
@@ -72,7 +72,9 @@ def check_origin(content: Mapping[str, Any], card: PolicyCard, samples: int, fol
     Raises:
         checkpoint.CheckpointError: with the differences.
     """
-    changes = differences(content["card"], to_dict(replace(card, samples=card.samples + samples)))
+    known = content["card"].get("family") is not None  # cards of earlier formats do not tell
+    here = replace(card, samples=card.samples + samples, family=card.family if known else None)
+    changes = differences(content["card"], to_dict(here))
     if changes:
         raise checkpoint.CheckpointError(
             f"{folder}: the checkpoint belongs to another robot or another starting policy; use another folder. "

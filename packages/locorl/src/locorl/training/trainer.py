@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from locorl import checkpoint
+from locorl.bodies.family import BodyFamily
 from locorl.bodies.samplers import FixedSampler, MorphologySampler, make_sampler
 from locorl.config import config_hash, to_dict
 from locorl.env.legged_env import LeggedEnv
@@ -55,7 +56,8 @@ class Trainer:
 
     Raises:
         checkpoint.CheckpointError: the folder holds a checkpoint of another configuration, or none that can be read.
-        ValueError: the number of designs is not N, a body has no stance, or bodies or robots cannot be dealt as asked.
+        ValueError: the number of designs is not N, a body has no stance, or bodies or robots cannot be dealt as asked;
+            or `start` was trained on another robot, design space or family of bodies (see `Policy.check_bodies`).
     """
 
     def __init__(
@@ -91,7 +93,7 @@ class Trainer:
             simulator=config.simulator,
         )
         if start is not None:
-            start.check_space(factory.name, factory.space)
+            start.check_bodies(factory)
         torch.manual_seed(streams[2])
         network = start.card.network if start else config.network
         self.model = ActorCritic(self.env.group_dims, self.env.num_actions, network)
@@ -119,6 +121,7 @@ class Trainer:
             network=network,
             samples=start.card.samples if start else 0,
             seed=config.seed,
+            family=BodyFamily.of(factory),
         )
         self._obs: dict[str, Tensor] | None = None
         if resumed is not None:
