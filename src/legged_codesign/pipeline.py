@@ -21,7 +21,7 @@ from legged_codesign.report.render import write_report
 from legged_codesign.robots import body_factory
 from legged_codesign.run_folder import Files, bind
 from legged_codesign.run_log import LoggedConsole
-from legged_codesign.search import BodySearch, search_space
+from legged_codesign.search import BodySearch, corners, search_space
 from legged_codesign.stages import Stage, locked, run_stages, write_text
 from legged_codesign.student_run import StudentConfig, StudentRun, WaysOut, check_student
 from legged_codesign.study_place import check_study, place_study
@@ -77,10 +77,10 @@ def check(config: RunConfig, factory: BodyFactory) -> None:
 
     Raises:
         FileNotFoundError: no generalist ships for robot and task.
-        ValueError: bounds or fixed values do not fit the robot, the generalist that ships does not fit its bodies, or
-            the student does not fit the task.
+        ValueError: bounds or fixed values do not fit the robot, a mesh is missing that the URDF of the best body will
+            need, the generalist that ships does not fit the robot's bodies, or the student does not fit the task.
     """
-    search_space(config, factory)
+    factory.check_urdfs(corners(search_space(config, factory)))
     check_shipped(config, factory)
     check_eyes(config)
 

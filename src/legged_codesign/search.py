@@ -50,6 +50,12 @@ def search_space(config: RunConfig, factory: BodyFactory) -> BoxSpace:
     return space
 
 
+def corners(space: BoxSpace) -> Array:
+    """The designs with all parameters at their lower and at their upper bounds, (2, d); what is fixed stays."""
+    bounds = ((p.nominal, p.nominal) if p.fixed else (p.low, p.high) for p in space.parameters)
+    return np.array(list(bounds), dtype=np.float64).T
+
+
 class BodySearch:
     """The search of one run; each method is a stage and reads its inputs from disk.
 

@@ -98,6 +98,28 @@ def resolved(path: Path, source: Path, name: str) -> Path:
     return path.parent / name
 
 
+def test_a_mesh_that_exporting_will_need_is_missed_before(source, tmp_path):
+    """That of the left front thigh alone is made anew, and only if that thigh is stretched."""
+    (source.parents[1] / "meshes").rename(tmp_path / "elsewhere")
+    robot, stretched, kept = from_urdf(source, drive=Drive()), [[0.6] * 4, [1.4] * 4], [[1, 0.6, 1, 1], [1, 1.4, 1, 1]]
+    missing = r"go2\.urdf: link 'FL_thigh' visual: mesh '\.\./meshes/part\.stl' not found; .*--mesh-path"
+    with pytest.raises(MorphologyError, match=missing):
+        robot.check_urdfs(stretched)
+    with pytest.raises(MorphologyError, match=missing):
+        export_urdf(robot, DESIGN, tmp_path / "body.urdf")
+    robot.check_urdfs(kept)
+    export_urdf(robot, kept[1], tmp_path / "body.urdf")
+    found = from_urdf(source, drive=Drive(), mesh_paths=[tmp_path / "elsewhere"])
+    found.check_urdfs(stretched)
+    export_urdf(found, DESIGN, tmp_path / "body.urdf")
+
+
+def test_a_mesh_that_cannot_be_read_is_found_before_it_is_needed(robot, source):
+    (source.parents[1] / "meshes" / "part.stl").write_text("solid nothing")
+    with pytest.raises(MorphologyError, match=r"link 'FL_thigh' visual: mesh .*part\.stl.*export it again"):
+        robot.check_urdfs([[0.6] * 4, [1.4] * 4])
+
+
 def test_beside_the_source_names_stay(robot, source):
     path = source.parent / "body.urdf"
     export_urdf(robot, DESIGN, path)

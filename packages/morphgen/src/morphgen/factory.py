@@ -10,6 +10,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from morphgen.errors import MorphologyError, naming
@@ -30,7 +31,7 @@ from morphgen.stance.stability import LEAST_BUCKLING_FACTOR, buckling_factor
 from morphgen.stance.stance import Stance, solve_stance
 from morphgen.urdf.meshes import MeshFinder, baked
 from morphgen.urdf.tree import Shape
-from morphgen.urdf.writer import ScaledUrdf, write_urdf
+from morphgen.urdf.writer import ScaledUrdf, oblique_visuals, write_urdf
 
 _TURN = 2 * np.pi
 
@@ -138,6 +139,19 @@ class BodyFactory:
         """
         return self._scaled(design, bake=True)
 
+    def check_urdfs(self, designs: ArrayLike) -> None:
+        """Read the meshes that `scaled_urdf` needs for any of the designs (n, d), so that it will not fail later.
+
+        The two corners of a box, all lower and all upper bounds, stand for all designs within it.
+
+        Raises:
+            MorphologyError: a mesh is missing or cannot be read; names file, link and remedy.
+        """
+        morphology = self.space.morphology(self.space.validated(designs))
+        with naming(self.source):
+            for g, _, _ in oblique_visuals(self.robot, morphology):
+                self._visual(self.robot.tree.shapes[g])
+
     def spec(self, design: ArrayLike, scene: mujoco.MjSpec | None = None) -> mujoco.MjSpec:
         """A fresh MuJoCo spec of one design (d,)."""
         self._check_motors()
@@ -233,9 +247,11 @@ class BodyFactory:
             return write_urdf(self.robot, morphology, self._links, body, self._bake if bake else None)
 
     def _bake(self, shape: Shape, linear: Array) -> bytes:
+        return baked(self._visual(shape), linear)
+
+    def _visual(self, shape: Shape) -> trimesh.Trimesh:
         assert shape.mesh is not None
-        where = f"link '{self.robot.tree.links[shape.link].name}' visual"
-        return baked(self.meshes.load(shape.mesh, where), linear)
+        return self.meshes.load(shape.mesh, f"link '{self.robot.tree.links[shape.link].name}' visual")
 
     def _assemble(
         self,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -106,40 +106,53 @@ def _write_shape(shape: Shape, position: Array, rotation: Array, size: Array) ->
             geometry.set("length", format_vector([size[1]]))
 
 
+def oblique_visuals(robot: Robot, morphology: Morphology) -> Iterator[tuple[int, Array, Array]]:
+    """Visual meshes of stretched links that no scale attribute can stretch.
+
+    Args:
+        robot: what is scaled.
+        morphology: how, n designs; links that none of them stretches are left out.
+
+    Yields:
+        Index of the shape, the axis (3,) of the stretch in link axes, and the scales (n,).
+    """
+    for segment, scale in _scales(robot, morphology):
+        for link, is_stretched in zip(segment.part.links, segment.stretched, strict=True):
+            if not is_stretched or np.all(scale == 1.0):
+                continue
+            axis = segment.axis_in(link)
+            for g, shape in enumerate(robot.tree.shapes):
+                visual = shape.link == link and not shape.collision and shape.kind == "mesh"
+                if visual and bake_axis(shape.rotation, axis) is None:
+                    yield g, axis, scale
+
+
 def _bake_oblique(robot: Robot, shapes: tuple[Shape, ...], morphology: Morphology, bake: Bake) -> dict[str, bytes]:
     """Replace visuals that no scale attribute can stretch by new meshes."""
     meshes: dict[str, bytes] = {}
-    for segment, scale in _scales(robot, morphology):
-        for link, is_stretched in zip(segment.part.links, segment.stretched, strict=True):
-            if not is_stretched or scale == 1.0:
-                continue
-            axis = segment.axis_in(link)
-            for g, shape in enumerate(shapes):
-                if shape.link != link or shape.collision or shape.kind != "mesh":
-                    continue
-                if bake_axis(shape.rotation, axis) is not None:
-                    continue
-                linear = stretch_map(axis, np.array([scale]))[0] @ shape.rotation @ np.diag(shape.size)
-                data = bake(robot.tree.shapes[g], linear)
-                # bodies that share a folder have meshes of their own
-                digest = hashlib.sha256(data).hexdigest()[:12]
-                name = f"baked/{robot.tree.links[link].name.replace('/', '_')}_{g}_{digest}.stl"
-                meshes[name] = data
-                geometry = shape.element.find("geometry/mesh")
-                assert geometry is not None
-                geometry.set("filename", name)
-                geometry.attrib.pop("scale", None)
-                _child(shape.element, "origin").set("rpy", "0 0 0")
+    for g, axis, scale in oblique_visuals(robot, morphology):
+        shape = shapes[g]
+        linear = stretch_map(axis, scale)[0] @ shape.rotation @ np.diag(shape.size)
+        data = bake(robot.tree.shapes[g], linear)
+        # bodies that share a folder have meshes of their own
+        digest = hashlib.sha256(data).hexdigest()[:12]
+        name = f"baked/{robot.tree.links[shape.link].name.replace('/', '_')}_{g}_{digest}.stl"
+        meshes[name] = data
+        geometry = shape.element.find("geometry/mesh")
+        assert geometry is not None
+        geometry.set("filename", name)
+        geometry.attrib.pop("scale", None)
+        _child(shape.element, "origin").set("rpy", "0 0 0")
     return meshes
 
 
-def _scales(robot: Robot, morphology: Morphology) -> list[tuple[Segment, float]]:
+def _scales(robot: Robot, morphology: Morphology) -> list[tuple[Segment, Array]]:
     legs = [
-        (segment, float(morphology.length[0, i, k]))
+        (segment, morphology.length[:, i, k])
         for i, leg in enumerate(robot.segments.legs)
         for k, segment in enumerate(leg)
     ]
-    return [*legs, (robot.segments.trunk, float(morphology.trunk_length[0]))]
+    return [*legs, (robot.segments.trunk, morphology.trunk_length)]
 
 
 def _child(parent: Element, tag: str) -> Element:
