@@ -6,20 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from locorl.config import leaves, to_dict
-from morphgen import BodyFactory
+from morphgen import BodyFactory, DesignSpace
 from rich.console import Console
 from rich.table import Table
 
 from legged_codesign.config import RunConfig
 from legged_codesign.machines import Machines
 from legged_codesign.predict import predict
-from legged_codesign.presets import preset
+from legged_codesign.presets import HARDWARE_BOUNDS, HARDWARE_FIXED, preset
 from legged_codesign.tasks import find_task
 
 _REFERENCE = "legged_gym and Extreme Parkour, on which the authors build"
 _RELEASED = "the authors' released code"
 
 _OURS = "ours"
+_COMMAND = "the command"
 
 SOURCES: Mapping[str, str] = {
     "robot": "section IV-A2",
@@ -139,7 +140,7 @@ class Setting:
     """One number of a run.
 
     Attributes:
-        name: path in the configuration.
+        name: path in the configuration; `search within.` and a design parameter for its bounds, or what it is held at.
         value: of it.
         source: where it comes from; `ours` unless the paper's preset has the same value from somewhere.
     """
@@ -158,8 +159,10 @@ def settings(config: RunConfig, factory: BodyFactory) -> list[Setting]:
     # morphgen's defaults for its own robots are the paper's
     paper |= {"bodies.rule": "paper", "body.kp": 40.0, "body.kd": 0.7, "body.low": [0.6] * 4, "body.high": [1.4] * 4}
     values = {**dict(leaves(to_dict(config))), "bodies.rule": factory.rule, **body}
+    del values["bounds"], values["fixed"]
     sources = {**SOURCES, **_sources_by_task(config)}
-    return [Setting(name, value, _source(name, value, paper.get(name), sources)) for name, value in values.items()]
+    listed = [Setting(name, value, _source(name, value, paper.get(name), sources)) for name, value in values.items()]
+    return [*listed, *_bounds(config, space)]
 
 
 def print_plan(config: RunConfig, factory: BodyFactory, machines: Machines, console: Console) -> None:
@@ -171,6 +174,29 @@ def print_plan(config: RunConfig, factory: BodyFactory, machines: Machines, cons
         table.add_row(setting.name, _short(setting.value), setting.source)
     console.print(table)
     console.print(f"predicted: {predict(config, factory, machines)}", highlight=False, soft_wrap=True)
+
+
+def _bounds(config: RunConfig, space: DesignSpace) -> list[Setting]:
+    """What each design parameter is searched within, or held at."""
+    given: dict[str, object] = {name: [low, high] for name, low, high in config.bounds}
+    given |= dict(config.fixed)
+    built: dict[str, object] = {name: [low, high] for name, low, high in HARDWARE_BOUNDS}
+    built |= dict(HARDWARE_FIXED)
+    if config.robot != "go2":
+        built = {}  # no other robot was built
+    simulated = {name: [0.6, 1.4] for name in DesignSpace.leg_scales().names}
+    found = []
+    for name, low, high in zip(space.names, space.low.tolist(), space.high.tolist(), strict=True):
+        value = given.get(name, [low, high])
+        if name in given and value == built.get(name):
+            source = "section IV-C1"
+        elif value == simulated.get(name):
+            source = "section IV-A1"
+        else:
+            source = _COMMAND if name in given else _OURS
+            source += f"; {_short(simulated[name])} by section IV-A1" if name in simulated else ""
+        found.append(Setting(f"search within.{name}", value, source))
+    return found
 
 
 def _sources_by_task(config: RunConfig) -> Mapping[str, str]:

@@ -21,6 +21,10 @@ from legged_codesign.config import (
 )
 from legged_codesign.tasks import TaskName, find_task, pretraining_task
 
+HARDWARE_BOUNDS = (("front_shank", 1.0, 1.4), ("hind_shank", 1.0, 1.4))
+HARDWARE_FIXED = (("front_thigh", 1.0), ("hind_thigh", 1.0))
+"""Section IV-C1: the thighs of a built robot, a Go2, stay, its shanks can be lengthened."""
+
 POWER_WEIGHT = -2.0
 """Reward weight of positive mechanical power over body weight while fine-tuning for energy."""
 

@@ -48,6 +48,50 @@ def test_the_papers_numbers_name_their_place(task) -> None:
     assert reward["linear_scale"][1] == reward["angular_scale"][1] == "ours"
 
 
+IV_A1 = ([0.6, 1.4], "section IV-A1")
+IV_C1 = {
+    **dict.fromkeys(("front_thigh", "hind_thigh"), (1.0, "section IV-C1")),
+    **dict.fromkeys(("front_shank", "hind_shank"), ([1.0, 1.4], "section IV-C1")),
+}
+BY_COMMAND = "the command; (0.6, 1.4) by section IV-A1"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, dict.fromkeys(IV_C1, IV_A1)),
+        ({"hardware": True}, IV_C1),
+        # on hardware there was a Go2
+        ({"hardware": True, "robot": "lite3"}, {name: (value, BY_COMMAND) for name, (value, _) in IV_C1.items()}),
+        (
+            {"hardware": True, "bounds": ("front_shank=1:1.3",)},
+            {**IV_C1, "front_shank": ([1.0, 1.3], BY_COMMAND)},
+        ),
+        (
+            {"bounds": ("hind_shank=1:1.4", "hind_thigh=0.6:1.4"), "fix": ("front_thigh=1.1",)},
+            {
+                **dict.fromkeys(IV_C1, IV_A1),
+                "hind_shank": IV_C1["hind_shank"],
+                "front_thigh": (1.1, BY_COMMAND),
+            },
+        ),
+    ],
+)
+def test_the_bounds_of_each_parameter_say_who_set_them(options, said) -> None:
+    found = sources(Run(preset="paper", task="slope", **options).config())
+    assert {name: found[f"search within.{name}"] for name in IV_C1} == said
+    assert {"bounds", "fixed"}.isdisjoint(found)
+    assert found["body.low"] == ([0.6] * 4, "section IV-A1")  # of the pre-training, whatever is searched
+
+
+def test_bounds_of_parameters_that_the_paper_lacks_are_ours() -> None:
+    config = Run(preset="paper", space="wide", bounds=("trunk_length=0.9:1.1",)).config()
+    found = {each.name: each.source for each in settings(config, body_factory(config.robot, config.bodies))}
+    assert found["search within.trunk_length"] == "the command"
+    assert found["search within.hip_offset"] == "ours"
+    assert found["search within.hind_shank"] == "section IV-A1"
+
+
 @pytest.mark.parametrize(
     ("task", "objective", "said"),
     [
@@ -140,7 +184,9 @@ def test_every_number_is_there() -> None:
     config = preset("paper", "energy", "highjump")
     text = json.dumps(to_dict(config))
     leaves = text.count(": ") - text.count(": {")
-    listed = [each for each in settings(config, body_factory(config.robot)) if not each.name.startswith("body.")]
+    ours = ("body.", "search within.")
+    listed = [each for each in settings(config, body_factory(config.robot)) if not each.name.startswith(ours)]
+    leaves -= 2  # bounds and fixed are told parameter by parameter
     # dictionaries within lists are shown whole
     nested = sum(str(each.value).count("': ") for each in listed)
     assert len(listed) + nested == leaves

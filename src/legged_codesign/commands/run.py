@@ -14,13 +14,9 @@ from legged_codesign.adapt import AdaptConfig
 from legged_codesign.commands.body import BodyOptions
 from legged_codesign.config import Objective, RunConfig, SearchMethod
 from legged_codesign.machines import ExecutorName, Machines
-from legged_codesign.presets import default_objective, on_simulator, preset
+from legged_codesign.presets import HARDWARE_BOUNDS, HARDWARE_FIXED, default_objective, on_simulator, preset
 from legged_codesign.robots import absolute, body_factory, short_name
 from legged_codesign.tasks import TaskName, find_task
-
-HARDWARE_BOUNDS = ("front_shank=1:1.4", "hind_shank=1:1.4")
-HARDWARE_FIXED = ("front_thigh=1", "hind_thigh=1")
-"""Section IV-C1: the thighs of a built robot stay, its shanks can be lengthened."""
 
 PAPERS_SEEDS = (0, 1, 2)
 """Section IV-A2: three independent runs."""
@@ -128,8 +124,8 @@ class Run(BodyOptions):
             robot=absolute(self.chosen_robot),
             bodies=self.bodies,
             seed=self.seed or 0,
-            bounds=tuple(parse_bounds(text) for text in (*more_bounds, *self.bounds)),
-            fixed=tuple(parse_fixed(text) for text in (*more_fixed, *self.fix)),
+            bounds=(*more_bounds, *(parse_bounds(text) for text in self.bounds)),
+            fixed=(*more_fixed, *(parse_fixed(text) for text in self.fix)),
             from_scratch=self.from_scratch or config.from_scratch,
             pretrain=replace(config.pretrain, seed=max(0, self.seed or 0)),
             search=search,
