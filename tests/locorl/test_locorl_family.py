@@ -139,9 +139,10 @@ def test_a_policy_that_is_adopted_goes_on_with_other_bodies(policy, tiny):
 def test_a_training_goes_on_with_the_same_bodies_alone(tiny, tmp_path):
     short = replace(tiny, iterations=2)
     Trainer(Ruled(), short, tmp_path, threads=1).run(quiet=True)
-    with pytest.raises(CheckpointError, match=r"family\.kp: .*40\.0.* -> .*55\.0"):
+    with pytest.raises(CheckpointError, match=r"another robot(.|\n)*kp: 40 in its training, 55 here"):
         Trainer(Ruled(kp=55.0), tiny, tmp_path, threads=1)
-    assert Trainer(Ruled(), tiny, tmp_path, threads=1).iteration == 2
+    for same in (Ruled(), Ruled(kp=KP * (1 + 1e-12))):  # as another machine would size it
+        assert Trainer(same, tiny, tmp_path, threads=1).iteration == 2
     content = checkpoint.load(tmp_path / "checkpoint.pt")
     del content["card"]["family"]  # begun by an earlier version
     checkpoint.save(tmp_path / "checkpoint.pt", {**content, "card_format": 3})

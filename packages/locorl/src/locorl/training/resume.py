@@ -10,7 +10,8 @@ from typing import Any
 import rich
 
 from locorl import checkpoint
-from locorl.config import config_hash, differences, to_dict
+from locorl.bodies.family import BodyFamily
+from locorl.config import config_hash, differences, from_dict, to_dict
 from locorl.learning.policy import PolicyCard
 from locorl.training.config import TrainConfig
 
@@ -72,9 +73,11 @@ def check_origin(content: Mapping[str, Any], card: PolicyCard, samples: int, fol
     Raises:
         checkpoint.CheckpointError: with the differences.
     """
-    known = content["card"].get("family") is not None  # cards of earlier formats do not tell
-    here = replace(card, samples=card.samples + samples, family=card.family if known else None)
-    changes = differences(content["card"], to_dict(here))
+    there = dict(content["card"])
+    told = there.pop("family", None)  # cards of earlier formats do not tell
+    changes = differences(there, to_dict(replace(card, samples=card.samples + samples, family=None)))
+    if told is not None and card.family is not None:
+        changes += from_dict(BodyFamily, told).differences(card.family)
     if changes:
         raise checkpoint.CheckpointError(
             f"{folder}: the checkpoint belongs to another robot or another starting policy; use another folder. "
