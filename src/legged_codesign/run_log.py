@@ -44,24 +44,26 @@ class LoggedConsole(Console):
         Raises:
             OSError: the log cannot be opened.
         """
-        with (folder / LOG).open("a", encoding="utf-8", buffering=1) as file:
+        file = (folder / LOG).open("a", encoding="utf-8", buffering=1)
 
-            def note(text: str) -> None:
-                with suppress(OSError):
-                    file.write(f"{_now()}  {text}\n")
+        def note(text: str) -> None:
+            with suppress(OSError):
+                file.write(f"{_now()}  {text}\n")
 
-            note(f"$ {command_line()}")
-            before, self.file, self._logging = self.file, file, True
-            try:
-                yield
-            except KeyboardInterrupt:
-                note("stopped by Ctrl-C")
-                raise
-            except Exception as error:
-                note(f"error: {error}")
-                raise
-            finally:
-                self.file, self._logging = before, False
+        note(f"$ {command_line()}")
+        before, self.file, self._logging = self.file, file, True
+        try:
+            yield
+        except KeyboardInterrupt:
+            note("stopped by Ctrl-C")
+            raise
+        except Exception as error:
+            note(f"error: {error}")
+            raise
+        finally:
+            self.file, self._logging = before, False
+            with suppress(OSError):  # on a full disk what is left to write comes up again
+                file.close()
 
 
 @dataclass(frozen=True)

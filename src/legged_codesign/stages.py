@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import hashlib
 import json
 import os
+import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +19,9 @@ from typing import IO, Any
 from rich.console import Console
 
 from legged_codesign.run_log import PROGRESS, Progress
+
+_NO_ROOM = 1 << 20
+"""Free bytes under which a disk counts as full: libraries hide the number of an error that tells."""
 
 
 class RunError(RuntimeError):
@@ -122,7 +127,7 @@ def locked(folder: Path) -> Iterator[None]:
     """Hold a run folder for this process alone; the lock goes with the process, even a killed one.
 
     Raises:
-        RunError: the folder cannot be written to, or another run holds it.
+        RunError: the folder cannot be written to, or another run holds it; or its disk became full meanwhile.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -134,7 +139,23 @@ def locked(folder: Path) -> Iterator[None]:
             _lock(file)
         except OSError as error:
             raise RunError(f"another run is using {folder}; wait for it or choose another --folder") from error
-        yield
+        try:
+            yield
+        except Exception as error:
+            if _is_full(folder, error):
+                raise RunError(
+                    f"the disk of {folder} is full: make room, and the same command goes on ({error})"
+                ) from error
+            raise
+
+
+def _is_full(folder: Path, error: BaseException) -> bool:
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        cause = cause.__cause__ or cause.__context__
+    return shutil.disk_usage(folder).free < _NO_ROOM
 
 
 def _lock(file: IO[str], patience: float = 0.5) -> None:

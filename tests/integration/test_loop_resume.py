@@ -41,6 +41,15 @@ class Started:
             assert self.process.poll() is None, f"ended without {path}: {self.log.read_text()}"
             time.sleep(0.02)
 
+    def wait_for_stage(self, folder: Path, stage: str) -> None:
+        """Wait until the run is in a stage."""
+        progress, text = folder / "stages" / "progress.json", ""
+        while f'"{stage}"' not in text:
+            assert self.process.poll() is None, f"ended without stage {stage}: {self.log.read_text()}"
+            time.sleep(0.01)
+            with suppress(FileNotFoundError):
+                text = progress.read_text()
+
     def send(self, number: signal.Signals) -> None:
         """Send a signal to the run and all its children."""
         os.killpg(self.process.pid, number)
@@ -112,6 +121,25 @@ def test_kill_and_resume(
         assert (folder / name).read_text() == (finished_return.folder / name).read_text(), name
     assert deployed(folder) == deployed(finished_return.folder)
     assert (folder / "report.html").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["screen", "compare", "export"])
+def test_kill_within_a_stage_and_resume(
+    stage: str, start: Start, finished_return, run_smoke: Callable, smoke_command: Callable, tmp_path: Path
+) -> None:
+    """Stages that leave nothing behind before they end."""
+    folder = tmp_path / "run"
+    run = start(smoke_command(folder, *RETURN))
+    run.wait_for_stage(folder, stage)
+    run.kill()
+    assert not (folder / "student" / "stages" / f"{stage}.json").exists()
+    assert not (folder / "stages" / f"{stage}.json").exists(), "killed too late to prove anything"
+    resumed = run_smoke(folder, *RETURN)
+    assert resumed.code == 0, resumed.output
+    for name in SAME:
+        assert (folder / name).read_text() == (finished_return.folder / name).read_text(), name
+    assert deployed(folder) == deployed(finished_return.folder)
 
 
 @pytest.mark.slow
