@@ -1,6 +1,8 @@
 """A log replayed: the same bundle answers the same bits, another one does not, and the first difference is named."""
 
+from concurrent.futures import Future
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from deploy.bundles.recording import record_golden
 from deploy.comparison import replay
 from deploy.control.controller import Mode
 from deploy.interfaces import DepthFrame
+from deploy.policy import perception
 from deploy.robots.disturbances import Disturbances
 from deploy.robots.mujoco_robot import MujocoRobot
 from deploy.robots.replay_robot import ReplayRobot
@@ -54,33 +57,67 @@ def test_every_action_of_a_policy_that_sees_is_reproduced(seeing_dir, seeing_log
     assert sum(tick.frame is not None for tick in ticks) >= 8
 
 
-def test_a_run_whose_depth_encoder_was_too_late_is_reproduced(seeing_dir, fake_robot, tmp_path):
+class RealClock:
+    """A clock that waits for nobody, and goes as fast as the test."""
+
+    virtual = False
+
+    def __init__(self):
+        self.time = 0
+
+    def now_ns(self):
+        return self.time
+
+    def sleep_until(self, time_ns):
+        self.time = max(self.time, time_ns)
+
+
+class SlowWorker:
+    """Hands over what it computed when the time for it has passed on the clock."""
+
+    def __init__(self, clock, takes_ns):
+        self.clock = clock
+        self.takes_ns = takes_ns
+
+    def submit(self, compute, *args):
+        return SlowFuture(self.clock, self.takes_ns, compute(*args))
+
+    def shutdown(self, wait):
+        pass
+
+
+class SlowFuture(Future):
+    def __init__(self, clock, takes_ns, result):
+        super().__init__()
+        self.set_result(result)
+        self.clock = clock
+        self.done_ns = clock.now_ns() + takes_ns
+
+    def done(self):
+        return self.clock.now_ns() >= self.done_ns
+
+
+def test_a_run_whose_depth_encoder_was_too_late_is_reproduced(seeing_dir, fake_robot, tmp_path, monkeypatch):
     """In real time nothing waits: the log says which image was in use."""
-
-    class RealClock:
-        virtual = False
-
-        def __init__(self):
-            self.time = 0
-
-        def now_ns(self):
-            return self.time
-
-        def sleep_until(self, time_ns):
-            self.time = max(self.time, time_ns)
-
-    rng = np.random.default_rng(0)
-    images = rng.uniform(0.2, 1.9, (200, 6, 8)).astype(np.float32)
-    robot = fake_robot()
-    robot.clock = RealClock()
-    robot.eye = lambda time_ns: DepthFrame(time_ns // 20_000_000 * 20_000_000, time_ns // 20_000_000, images[0])
-    path = tmp_path / "late.mcap"
     bundle = load_bundle(seeing_dir)
+    tick_ns = bundle.period_ns
+    period, takes = bundle.depth.period_ticks, bundle.depth.latency_ticks + 1
+    clock = RealClock()
+    monkeypatch.setattr(perception, "ThreadPoolExecutor", lambda **kwargs: SlowWorker(clock, takes * tick_ns))
+    images = np.random.default_rng(0).uniform(0.2, 1.9, (200, 6, 8)).astype(np.float32)
+    robot = fake_robot()
+    robot.clock = clock
+    robot.eye = lambda time_ns: DepthFrame(time_ns // tick_ns * tick_ns, time_ns // tick_ns, images[time_ns // tick_ns])
+    path = tmp_path / "late.mcap"
     built = bundle.robot.design
     summary = run(seeing_dir, (0.3, 0.0, 0.0), 1.0, path, robot, 0, QUICK, Unattended(), design=built)
     assert summary.completed, summary.reason
+    monkeypatch.undo()
     result = replay(path, bundle, OnnxRuntime(bundle))
     assert (result.ticks, result.first) == (54, None)
+    policy = [tick for tick in ReplayRobot(path, bundle).ticks if tick.obs is not None]
+    changes = [now.slot.index - policy[0].slot.index for last, now in pairwise(policy) if now.seen_tick > last.seen_tick]
+    assert changes == list(range(takes, 54, period))
 
 
 def test_the_first_action_that_differs_is_named(bundle_dir, log):

@@ -55,6 +55,8 @@ def test_a_full_disk_loses_nothing(stage: str, left: int, disk: Path, finished, 
     shutil.copytree(finished.folder, folder)
     (folder / OUTPUTS[stage]).unlink()
     forget(folder, stage)
+    if stage == "export":
+        shutil.rmtree(folder / "bundle")
     if stage == "search":
         (folder / "study.sqlite").unlink()
         shutil.rmtree(folder / "trials")
