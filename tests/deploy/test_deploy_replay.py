@@ -57,21 +57,6 @@ def test_every_action_of_a_policy_that_sees_is_reproduced(seeing_dir, seeing_log
     assert sum(tick.frame is not None for tick in ticks) >= 8
 
 
-class RealClock:
-    """A clock that waits for nobody, and goes as fast as the test."""
-
-    virtual = False
-
-    def __init__(self):
-        self.time = 0
-
-    def now_ns(self):
-        return self.time
-
-    def sleep_until(self, time_ns):
-        self.time = max(self.time, time_ns)
-
-
 class SlowWorker:
     """Hands over what it computed when the time for it has passed on the clock."""
 
@@ -102,11 +87,11 @@ def test_a_run_whose_depth_encoder_was_too_late_is_reproduced(seeing_dir, fake_r
     bundle = load_bundle(seeing_dir)
     tick_ns = bundle.period_ns
     period, takes = bundle.depth.period_ticks, bundle.depth.latency_ticks + 1
-    clock = RealClock()
-    monkeypatch.setattr(perception, "ThreadPoolExecutor", lambda **kwargs: SlowWorker(clock, takes * tick_ns))
     images = np.random.default_rng(0).uniform(0.2, 1.9, (200, 6, 8)).astype(np.float32)
     robot = fake_robot()
-    robot.clock = clock
+    robot.clock.virtual = False
+    worker = SlowWorker(robot.clock, takes * tick_ns)
+    monkeypatch.setattr(perception, "ThreadPoolExecutor", lambda **kwargs: worker)
     robot.eye = lambda time_ns: DepthFrame(time_ns // tick_ns * tick_ns, time_ns // tick_ns, images[time_ns // tick_ns])
     path = tmp_path / "late.mcap"
     built = bundle.robot.design
