@@ -101,7 +101,8 @@ def test_a_run_whose_depth_encoder_was_too_late_is_reproduced(seeing_dir, fake_r
     result = replay(path, bundle, OnnxRuntime(bundle))
     assert (result.ticks, result.first) == (54, None)
     policy = [tick for tick in ReplayRobot(path, bundle).ticks if tick.obs is not None]
-    changes = [now.slot.index - policy[0].slot.index for last, now in pairwise(policy) if now.seen_tick > last.seen_tick]
+    start = policy[0].slot.index
+    changes = [now.slot.index - start for last, now in pairwise(policy) if now.seen_tick > last.seen_tick]
     assert changes == list(range(takes, 54, period))
 
 
